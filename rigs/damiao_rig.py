@@ -6,6 +6,7 @@ import gc
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from robot_sysid.damiao.simulated import (
     simulated_motor,
 )
 from robot_sysid.damiao.trajectory import (
+    DamiaoTrajectory,
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
@@ -92,6 +94,13 @@ def export(chunks, types, path, **ids):
     joints = damiao_joints(types, len(types), **ids)
     with atomic_file(path) as file:
         return export_damiao_trajectory(chunks, joints, file)
+
+
+def trajectory_of(motion, *types, **options):
+    """A motion as a trajectory of no file, for motors of these types, else of one."""
+    types = types or ["DM4340"] * motion[1].shape[1]
+    joints = damiao_joints(types, len(types), **options)
+    return DamiaoTrajectory(Path("swing.csv"), joints, *motion)
 
 
 def trajectory_file(folder, motion, *types):

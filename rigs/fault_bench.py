@@ -21,15 +21,21 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from rigs.damiao_rig import Damage, MotorRun, fault, later, mit_command, motor
+from rigs.damiao_rig import (
+    Damage,
+    MotorRun,
+    fault,
+    later,
+    mit_command,
+    motor,
+    trajectory_of,
+)
 from rigs.places import GUESS, TRUTH
 from rigs.wrong_arms import resting_torque
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
 from robot_sysid.damiao.settings import Plan, PlaySettings
-from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
@@ -132,8 +138,8 @@ def plan_of(setup):
     motion = multi_sine(loaded_poses()[setup.pose], 3, setup.duration, setup.stands)
     tau = np.asarray(ArmDynamics(robot)(motion))
     names = robot.joint_names if setup.model_is_given else ()
-    joints = damiao_joints(MOTOR_TYPES, robot.n_joints, names=names)
-    trajectory = DamiaoTrajectory(Path(), joints, motion.time, motion.q, motion.qd, tau)
+    signals = motion.time, motion.q, motion.qd, tau
+    trajectory = trajectory_of(signals, *MOTOR_TYPES, names=names)
     stiffness = {} if setup.kp is None else {"kp": (setup.kp,)}
     settings = PlaySettings(rate=setup.rate, park=setup.park, **stiffness)
     timing = BusTiming(fd=setup.rate > FASTEST_CLASSIC)

@@ -16,7 +16,7 @@ class MotorLog:
     """A recording of motors, read back.
 
     Attributes:
-        head: the comment lines above the rows, without their mark.
+        head: the comment lines, without their mark.
         ending: how the run ended.
         columns: title to (N,) values; NaN where a joint did not answer.
     """
@@ -34,13 +34,10 @@ class MotorLog:
 def read_recording(path):
     """Return the recording in a file."""
     lines = Path(path).read_text(encoding="utf-8").splitlines()
-    rows = [line for line in lines if line and not line.startswith("#")]
-    head = [line[2:] for line in lines[: lines.index(rows[0])]]
-    ending = (
-        lines[-1][len("# end: ") :] if lines[-1].startswith("# end: ") else "cut short"
-    )
-    table = np.array([[float(c or "nan") for c in row.split(",")] for row in rows[1:]])
-    titles = rows[0].split(",")
-    assert titles[0] == "time"
-    table = table.reshape(-1, len(titles))
-    return MotorLog(tuple(head), ending, dict(zip(titles, table.T)))
+    comments = [line[2:] for line in lines if line.startswith("# ")]
+    rows = [line for line in lines if line and line[0] != "#"]
+    table = np.atleast_1d(np.genfromtxt(rows, delimiter=",", names=True))
+    assert table.dtype.names[0] == "time"
+    begin, _, ending = comments[-1].partition("end: ")
+    columns = {name: table[name] for name in table.dtype.names}
+    return MotorLog(tuple(comments), "cut short" if begin else ending, columns)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import map_line
+from rigs.damiao_rig import map_line, mit_command
 from robot_sysid.damiao.joints import (
     MOTORS,
     Mounting,
@@ -88,12 +88,8 @@ def test_to_the_motors_and_back_is_nothing(mounting, values):
 @given(mountings(), st.lists(NUMBERS, min_size=15, max_size=15))
 def test_a_motor_makes_the_torque_that_its_joint_is_told(mounting, numbers):
     """The motor's law with the motor's numbers gives the joint's torque with the joint's."""
-    from robot_sysid.damiao.protocol import MitCommand
-
     position, velocity, torque, q, qd = np.array(numbers).reshape(5, 3)
-    joint_command = MitCommand(
-        position, velocity, np.full(3, 20.0), np.full(3, 1.0), torque
-    )
+    joint_command = mit_command(position, velocity, 20.0, 1.0, torque)
     motor = mounting.command(joint_command).motor_torque(
         *mounting.signals(q, qd, q)[:2]
     )

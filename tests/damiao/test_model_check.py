@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs import arms
-from rigs.damiao_rig import swing, trajectory_file
+from rigs.damiao_rig import swing, trajectory_of
 from robot_sysid.damiao.model_check import model_checks, torque_checks, transfer_checks
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
@@ -23,7 +23,7 @@ from robot_sysid.records.messages import Level
 # Wide frames, so that the export clamps nothing.
 MOTOR = "DM10010L"
 JOINTS = ("joint0", "joint1", "joint2")
-# Beside the limit by more than four printed decimals of a position and a velocity make.
+# Beside the limit by more than rounding makes.
 INSIDE = st.floats(0.05, 0.98)
 BEYOND = st.floats(1.02, 2.5)
 SHARES = INSIDE | BEYOND
@@ -37,24 +37,16 @@ def arm():
     return arms.robot_of(arms.THREE, max_velocity=np.inf)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("model_check")
-
-
 def limited_robot(arm, share, peaks):
     """The arm with limits (3, n) that peaks of position, velocity and torque are a share of."""
     position, velocity, torque = np.array(peaks) / share
     return replace(arm, limits=Limits(-position, position, velocity, torque=torque))
 
 
-def check_trajectory(folder, motion, speed, robot, limits=NO_LIMITS):
+def check_trajectory(motion, speed, robot, limits=NO_LIMITS):
     """What a model says to a motion played at a share of its speed."""
     types = [MOTOR] * motion[1].shape[1]
-    played = trajectory_file(folder, motion, *types)
-    pairs = zip(played.joints, robot.joint_names)
-    joints = tuple(replace(joint, name=name) for joint, name in pairs)
-    played = replace(played, joints=joints)
+    played = trajectory_of(motion, *types, names=robot.joint_names)
     plan = Plan(played, PlaySettings(speed=speed), limits=limits)
     checks = model_checks(plan, build_problem(robot, limits))
     return [check for check in checks if check.level != Level.SAYS]
@@ -86,9 +78,7 @@ def peaks_of(motion):
     share=st.lists(SHARES, min_size=9, max_size=9),
     seed=arms.SEEDS,
 )
-def test_every_row_counts_however_short_its_peak(
-    arm, folder, rows, rate, speed, share, seed
-):
+def test_every_row_counts_however_short_its_peak(arm, rows, rate, speed, share, seed):
     """Feed-forward torques and stated velocities of any shape, around an arm that stands still."""
     share = np.reshape(share, (3, 3))
     rng = np.random.default_rng(seed)
@@ -98,21 +88,19 @@ def test_every_row_counts_however_short_its_peak(
     position, velocity, torque = peaks_of(motion)
     robot = limited_robot(arm, share, (position, speed * velocity, torque))
     expected = {(JOINTS[j], WHAT[i]) for i, j in np.argwhere(share > 1.0)}
-    assert limit_findings(check_trajectory(folder, motion, speed, robot)) == expected
+    assert limit_findings(check_trajectory(motion, speed, robot)) == expected
 
 
 @given(speed=SPEEDS, share=SHARES, rate=st.sampled_from([100.0, 250.0, 1000.0]))
 def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
-    arm, folder, speed, share, rate
+    arm, speed, share, rate
 ):
     """Four printed decimals of a position are left to it: 1e-4 rad between two rows."""
     time, q, qd, tau = swing(3, duration=0.5, rate=rate, amplitude=2.0)
     steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
     free = np.full(3, np.inf)
     robot = replace(arm, limits=Limits(-free, free, steepest / share, torque=free))
-    excesses = limit_findings(
-        check_trajectory(folder, (time, q, 0 * qd, tau), speed, robot)
-    )
+    excesses = limit_findings(check_trajectory((time, q, 0 * qd, tau), speed, robot))
     assert excesses == (
         {(joint, "velocity") for joint in JOINTS} if share > 1.0 else set()
     )
@@ -129,35 +117,34 @@ def with_its_torque(arm, seed, factor=1.0):
     return time, q + scale, qd, factor * ArmDynamics(arm)(motion)
 
 
-def refusals(folder, arm, motion, **settings):
-    played = trajectory_file(folder, motion)
-    plan = Plan(played, PlaySettings(**settings))
+def refusals(arm, motion, **settings):
+    plan = Plan(trajectory_of(motion), PlaySettings(**settings))
     return [check.text for check in torque_checks(plan, arm)]
 
 
 @given(seed=arms.SEEDS, speed=SPEEDS, factor=st.floats(0.5, 1.5))
 def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
-    arm, folder, seed, speed, factor
+    arm, seed, speed, factor
 ):
-    assert refusals(folder, arm, with_its_torque(arm, seed, factor), speed=speed) == []
+    assert refusals(arm, with_its_torque(arm, seed, factor), speed=speed) == []
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 3.0])
-def test_another_torque_than_the_motion_needs_is_refused(arm, folder, factor):
+def test_another_torque_than_the_motion_needs_is_refused(arm, factor):
     motion = with_its_torque(arm, 0)
     loaded = int(np.argmax(np.abs(motion[3]).mean(axis=0)))
     motion[3][:, loaded] *= factor
-    (texts,) = refusals(folder, arm, motion)
+    (texts,) = refusals(arm, motion)
     assert f"motor {loaded + 1}: " in texts and "that of another motion" in texts
 
 
-def test_a_ripple_that_no_motor_follows_is_refused(arm, folder):
+def test_a_ripple_that_no_motor_follows_is_refused(arm):
     """0.15 rad at 10 Hz: 9 rad/s, and 592 rad/s^2."""
     time, q, qd, tau = with_its_torque(arm, 0)
     wave = 2 * np.pi * 10
     q[:, 0] += 0.15 * (1 - np.cos(wave * time))
     qd[:, 0] += 0.15 * wave * np.sin(wave * time)
-    first = refusals(folder, arm, (time, q, qd, tau))[0]
+    first = refusals(arm, (time, q, qd, tau))[0]
     assert "N·m and its motor makes 27 at" in first and "it cannot follow" in first
 
 
@@ -179,11 +166,11 @@ def turn(angle):
 
 @given(angle=st.floats(-2.5, 1.4) | st.floats(1.6, 2.5), speed=SPEEDS)
 def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
-    folder, angle, speed
+    angle, speed
 ):
     """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
-    checks = check_trajectory(folder, turn(angle), speed, robot)
+    checks = check_trajectory(turn(angle), speed, robot)
     assert [check.level for check in checks] == [Level.REFUSES] * (angle > np.pi / 2)
     assert all("wall" in check.text and "arm" in check.text for check in checks)
 

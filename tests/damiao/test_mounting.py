@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import lifted_swing, map_line, swing, trajectory_file
+from rigs.damiao_rig import lifted_swing, map_line, swing, trajectory_of
 from rigs.places import EXAMPLE
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
@@ -144,7 +144,7 @@ def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
     ("bend", "held"),
     [(lambda t: 0.0 * t, 5.0), (lambda t: 1.0 + 0.0 * t, None), (np.cos, 5.0)],
 )
-def test_without_a_model_the_file_says_what_holds_the_arm(tmp_path, bend, held):
+def test_without_a_model_the_file_says_what_holds_the_arm(bend, held):
     """5 N m where the motor of a swapped id holds none, and 12 more or less for what begins.
 
     Unless the file never stops to accelerate near its first point.
@@ -153,7 +153,7 @@ def test_without_a_model_the_file_says_what_holds_the_arm(tmp_path, bend, held):
     qdd = 1.5 * bend(3 * np.pi * time)[:, None]
     qd = np.vstack([[[0.0]], np.cumsum(0.5 * (qdd[1:] + qdd[:-1]), axis=0)]) / 50
     q = np.vstack([[[0.0]], np.cumsum(0.5 * (qd[1:] + qd[:-1]), axis=0)]) / 50
-    check = file_holding(trajectory_file(tmp_path, (time, q, qd, 5.0 - 8.0 * qdd)))
+    check = file_holding(trajectory_of((time, q, qd, 5.0 - 8.0 * qdd)))
     check(q[0] + 0.2, np.array([0.1]))
     check(q[0], np.array([held or -5.0]))
     with (

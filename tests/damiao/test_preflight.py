@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,12 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.damiao_rig import trajectory_of
 from robot_sysid.commands.motors.setup import SetupOptions
-from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.preflight import _watchdog_checks, plan_checks
 from robot_sysid.damiao.protocol import BusTiming, bus_load
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
+from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import record_from
 
@@ -30,14 +30,13 @@ def rows_of(n, position=0.0, velocity=0.0, torque=0.0, seconds=1.0):
 
 def checks_of(rows, types, timing=None, **settings):
     """What is said to what the checks look at of a plan, without a trajectory file."""
-    joints = damiao_joints(types, len(types))
+    played = trajectory_of(rows, *types)
     timing = timing or BusTiming()
     completed = PlaySettings(**settings).for_motors(
-        [joint.spec for joint in joints], timing
+        [joint.spec for joint in played.joints], timing
     )
     user = NO_LIMITS.limits([False] * len(types))
     fields = {"settings": completed, "timing": timing, "user_limits": user}
-    played = DamiaoTrajectory(Path(), joints, *rows)
     return [*plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))]
 
 

@@ -151,9 +151,7 @@ def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, sign):
 
 def test_stiffness_without_damping_is_refused():
     damping = np.array([[1.0, 1.0], [1.0, 0.0]])
-    shaky = MitCommand(
-        0.0 * damping, 0.0 * damping, 10.0 + 0.0 * damping, damping, 0.0 * damping
-    )
+    shaky = mit_command(0.0, 0.0, 10.0, damping)
     assert refusal(shaky, scaling_of("DM4340", "DM4310")) == (
         "the command of motor number 2 has kp > 0, which needs kd of at least 0.0012"
     )
@@ -197,6 +195,7 @@ STORE = 0xAA
     ],
 )
 def test_a_link_sends_no_harmful_frames(frame):
+    """They reach no bus, as there is none here."""
     with pytest.raises(SysidError, match="refused to send"):
         GuardedLink(None, None).send(frame)
 

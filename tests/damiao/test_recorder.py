@@ -10,27 +10,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import mit_command, state, undoubted
+from rigs.damiao_rig import mit_command, state, trajectory_of, undoubted
 from rigs.recordings import read_recording
-from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
-from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import InputError
 
 
 def recorder_for(path, types=("DM4340",), overwrite=False):
     """A recorder that writes at once, for motors of these types."""
-    joints = damiao_joints(types, len(types))
-    registers = [simulated_motor(joint, 0.1).registers for joint in joints]
     still = np.zeros((2, len(types)))
-    trajectory = DamiaoTrajectory(
-        Path("swing.csv"), joints, np.arange(2.0), still, still, still
-    )
+    trajectory = trajectory_of((np.arange(2.0), still, still, still), *types)
+    motors = [simulated_motor(joint, 0.1) for joint in trajectory.joints]
     plan = Plan(trajectory, recording=RecordingOptions(path, overwrite))
-    return MeasurementRecorder(path, plan, registers, Aside(threaded=False))
+    return MeasurementRecorder(
+        path, plan, [motor.registers for motor in motors], Aside(threaded=False)
+    )
 
 
 @given(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import swing, trajectory_file
+from rigs.damiao_rig import swing, trajectory_of
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import (
     CarriedStop,
@@ -26,14 +26,14 @@ ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.3])
-def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed):
+def test_the_sampler_interpolates_and_scales_velocity_with_speed(speed):
     time, q, qd, tau = swing(3)
-    sampler = trajectory_reference(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
+    sampler = trajectory_reference(trajectory_of((time, q, qd, tau)), speed)
     for moment in np.append(np.arange(0.0, 2.0 / speed, 0.137), 9.0):
         reference = sampler(moment)
         for actual, signal in zip(reference, (q, speed * qd, tau)):
             expected = [np.interp(moment * speed, time, column) for column in signal.T]
-            np.testing.assert_allclose(actual, expected, rtol=0, atol=6e-5)
+            np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-9)
 
 
 @given(

@@ -62,15 +62,6 @@ def test_an_undisturbed_run_plays_everything_and_disables(plain_run):
     run.assert_harmless()
 
 
-def test_a_stop_that_was_asked_for_before_enables_nothing(rig):
-    run = rig()
-    run.stop("stopped by SIGINT")
-    run.run()
-    assert run.error.exit_code == 3 and str(run.error) == "stopped by SIGINT"
-    assert run.phases == []
-    run.assert_never_moved()
-
-
 def test_lost_replies_and_a_short_stall_leave_gaps_and_nothing_is_replayed(rig):
     run = rig(**USUAL)
     found = later(0.008, fault(1, lost_replies=False))
@@ -221,6 +212,7 @@ def extra(*joint):
         ({"start": [-2 * np.pi, 0.0]}, "lost its turn count"),
         ({"faults": [slow_adapter(0.016, 0.016)]}, "use --rate 50"),
         ({"max_temperature": 30.0}, "is at 31 deg C, above 30"),
+        ({"faults": [lambda run: run.stop("asked before")]}, "asked before"),
         ({"rate": 3000.0}, "use --rate 250"),
         ({"motion": changed_swing(reverse_velocity)}, "of motor 2 change by"),
     ],

@@ -10,14 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rigs.damiao_rig import swing, trajectory_file
+from rigs.damiao_rig import mit_command, swing, trajectory_of
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import (
     KD_MAX,
     KP_MAX,
     PLANNING_LIMIT,
     BusTiming,
-    MitCommand,
     Scaling,
     bus_load,
     default_rate,
@@ -46,8 +45,7 @@ def test_what_is_left_open_suits_motors_and_bus(specs, timing):
         assert push == pytest.approx(2 / 3 * spec.peak_torque)
     assert settings.rate == default_rate(len(specs), timing)
     assert bus_load(len(specs), settings.rate, timing) <= PLANNING_LIMIT
-    zero = np.zeros(len(specs))
-    command = MitCommand(zero, zero, np.array(settings.kp), np.array(settings.kd), zero)
+    command = mit_command(kp=settings.kp, kd=settings.kd)
     assert encode_mit(command, Scaling([s.limits for s in specs])).shape == (
         len(specs),
         8,
@@ -99,10 +97,9 @@ def test_a_light_joint_is_damped_less(specs, timing, data):
         )
 
 
-def test_transfers_keep_the_limits_of_a_user(tmp_path):
-    file = trajectory_file(tmp_path, swing(2))
+def test_transfers_keep_the_limits_of_a_user():
     limits = replace(NO_LIMITS, max_velocity=(0.1, 9.0), max_acceleration=0.05)
-    settings = Plan(file, limits=limits).settings
+    settings = Plan(trajectory_of(swing(2)), limits=limits).settings
     begin = Reference(*np.zeros((3, 2)))
     for way in (0.01, 0.2, 0.5):
         target = begin._replace(position=np.full(2, way))

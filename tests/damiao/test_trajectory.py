@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rigs.damiao_rig import export, swing, trajectory_file
+from rigs.damiao_rig import export, swing, trajectory_of
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
@@ -149,8 +149,8 @@ def excesses(trajectory, speed, options):
     return list(limit_excesses(trajectory, speed, "your", limits))
 
 
-def test_a_users_limits_hold_at_the_speed_that_is_played(tmp_path):
-    swinging = trajectory_file(tmp_path, swing(2, rate=100.0))
+def test_a_users_limits_hold_at_the_speed_that_is_played():
+    swinging = trajectory_of(swing(2, rate=100.0))
     for speed in (0.5, 1.0):
         shaken = speed**2 * np.abs(swinging.qdd).max(axis=0)
         # Four digits of the velocities make 0.01 rad/s^2 of it.

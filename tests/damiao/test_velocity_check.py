@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs.arms import SEEDS
-from rigs.damiao_rig import rest_to_rest
-from robot_sysid.damiao.trajectory import DamiaoTrajectory, velocity_mismatch
+from rigs.damiao_rig import rest_to_rest, trajectory_of
+from robot_sysid.damiao.trajectory import velocity_mismatch
 
 RATES = st.sampled_from([50.0, 100.0, 250.0, 500.0, 1000.0])
 
@@ -26,8 +24,7 @@ def smooth_motion(rate, seed, seconds=3.0):
 
 
 def mismatch(time, q, qd):
-    signals = time, np.round(q, 4), np.round(qd, 4)
-    return velocity_mismatch(DamiaoTrajectory(Path(), (), *signals, q))
+    return velocity_mismatch(trajectory_of((time, np.round(q, 4), np.round(qd, 4), q)))
 
 
 def differences(time, q, method):
