@@ -43,7 +43,7 @@ def bolted_on(mass, error):
     )
 
 
-FILE = made.model_file(other_validations=())
+FILE = made.model_file(others=())
 UNSEEN = made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL)
 RESULTS = {
     "every link, with its file": made.whole(),

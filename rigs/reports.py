@@ -17,7 +17,7 @@ from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import verdict_line
-from robot_sysid.results.record import Verdict
+from robot_sysid.results.record import ModelErrors, Verdict
 
 ODD = "other <script>alert(1)</script> $x^{1}& 関節.csv"
 NAMED = {"link0": "link5", "link1": "link6", "joint0": "j5", "joint1": "j6"}
@@ -41,9 +41,9 @@ def on_arm(result, path):
 def link_result(path):
     """A result about every link of the arm in a file."""
     result = made.whole()
-    pair = result.file.other_validations[0]
-    odd = tuple(replace(validation, source=ODD) for validation in pair)
-    file = replace(result.file, other_validations=(odd,))
+    pair = vars(result.file.others[0]).values()
+    odd = (replace(validation, source=ODD) for validation in pair)
+    file = replace(result.file, others=(ModelErrors(*odd),))
     return on_arm(replace(result, file=file), path)
 
 

@@ -32,6 +32,7 @@ from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
     BodyEstimate,
+    ModelErrors,
     ModelFile,
     Payload,
     Quantity,
@@ -114,6 +115,7 @@ def found(result=ESTIMATE, **changes):
         quantities=tuple(rows),
         links={last.name: last},
         total=last,
+        thetas=THETA[None],
         friction_model="coulomb-viscous",
     )
     return replace(defaults, **changes)
@@ -224,17 +226,17 @@ def payload(own=None, torque_scale=(), **changes):
 
 
 def model_file(**changes):
-    """A written model that predicts torques to 0.25 % instead of 27 %."""
+    """What is said of a written model that predicts torques to 0.25 % instead of 27 %."""
     file = ModelFile(
-        thetas=np.array([1.5 * THETA, 0.9 * THETA]),
-        joints={"j5": {"frictionloss": 0.45, "damping": 0.25}},
-        gravity=np.array([0.0, 0.1, -9.8]),
-        validation_before=validation_of(1.5, "fifths of arm.csv", 0.27),
-        validation_after=validation_of(0.02, "fifths of arm.csv", 0.0025),
-        other_validations=(
-            (validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)),
+        before=validation_of(1.5, "fifths of arm.csv", 0.27),
+        after=validation_of(0.02, "fifths of arm.csv", 0.0025),
+        others=(
+            ModelErrors(
+                validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)
+            ),
         ),
-        unchanged=("rotor inertia",),
+        gravity=np.array([0.0, 0.1, -9.8]),
+        kept=("rotor inertia",),
     )
     return replace(file, **changes)
 
@@ -245,7 +247,6 @@ def whole(**changes):
     last = terminal()
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     links = (replace(ARM.links[0], bodies=bodies),)
-    file = model_file()
     rows = [*body_quantities(first), *found().quantities]
     rows += [
         Quantity("viscous", "j5+j6", "N·m·s/rad", None, 0.05, 0.002),
@@ -261,7 +262,7 @@ def whole(**changes):
         robot=replace(ARM, is_slide=np.array([True, False]), links=links),
         links={first.name: first, last.name: last},
         quantities=tuple(rows),
-        file=file,
+        file=model_file(),
         validation=(
             validation_of(0.02, "fifths of arm.csv", 0.0022),
             validation_of(0.03, relative=0.012),

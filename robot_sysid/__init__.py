@@ -63,7 +63,14 @@ _NAMES = {
     ),
     "records.limits": ("Limits",),
     "records.messages": ("Level", "Remark"),
-    "results.record": ("BodyEstimate", "ModelFile", "Payload", "Quantity", "Verdict"),
+    "results.record": (
+        "BodyEstimate",
+        "ModelErrors",
+        "ModelFile",
+        "Payload",
+        "Quantity",
+        "Verdict",
+    ),
 }
 # Public name to the module that defines it.
 _MODULES = {name: module for module in _NAMES for name in _NAMES[module]}

@@ -44,6 +44,7 @@ from robot_sysid.records.limits import Limits as Limits
 from robot_sysid.records.messages import Level as Level
 from robot_sysid.records.messages import Remark as Remark
 from robot_sysid.results.record import BodyEstimate as BodyEstimate
+from robot_sysid.results.record import ModelErrors as ModelErrors
 from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload
 from robot_sysid.results.record import Quantity as Quantity

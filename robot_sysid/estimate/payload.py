@@ -15,13 +15,12 @@ from robot_sysid import spatial
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.offers import Effect, Offers
+from robot_sysid.estimate.restricted_fit import model_file
 from robot_sysid.estimate.result import (
     body_estimate,
     fit_quantities,
     link_estimates,
-    model_file,
     quantity,
-    result_notes,
     result_of,
     select,
     traces_of,
@@ -36,7 +35,7 @@ from robot_sysid.estimate.trust import (
 )
 from robot_sysid.records import Array, DataOrigin, Flange
 from robot_sysid.records.levels import CLEAR
-from robot_sysid.records.messages import Detail, Level, Remark, says, with_error
+from robot_sysid.records.messages import Detail, Level, Remark, with_error
 from robot_sysid.records.parameters import SCALE
 from robot_sysid.results.quantities import (
     body_quantities,
@@ -46,7 +45,6 @@ from robot_sysid.results.quantities import (
 from robot_sysid.results.record import (
     PAYLOAD,
     BodyEstimate,
-    ModelFile,
     Payload,
     Quantity,
     Result,
@@ -98,24 +96,23 @@ def payload_result(
         sentences: for the user so far.
         divided: (n,) torque scales by which the torques were divided already.
     """
-    robot = fitted.arm.robot
-    written: ModelFile | None = None
-    file_rows: list[Quantity] = []
+    known_mass = fitted.question.known_mass
+    written = None
     file_notes: list[str] = []
     if file is not None:
-        written, file_rows, file_notes = model_file(fitted, file)
-        judgement = judge_file(written.validation_before, written.validation_after)
+        written = model_file(file)
+        judgement = judge_file(written)
         if judgement.level is not Level.SAYS:
-            file, written, file_rows = None, None, []
+            file = None
+            written = None
             file_notes = [
                 f"the written model is the arm's own with the payload on it: {judgement.text}"
             ]
-    links = link_estimates(fitted, file)
-    known_mass = fitted.question.known_mass
     # Judged is the payload before bodies were made possible: that step hides a negative mass.
     free = _in_flange(weighed, flange, weighed.free)
-    test = validation(weighed)
-    remarks = list(judge_payload(robot, free, contradiction(weighed, flange), test))
+    reason = contradiction(weighed, flange)
+    robot = fitted.arm.robot
+    remarks = list(judge_payload(robot, free, reason, validation(weighed)))
     if known_mass is not None:
         remarks = list(judge_known_mass(remarks, free.mass, known_mass))
     values = fitted.free.copy()
@@ -127,19 +124,19 @@ def payload_result(
     both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
     body = _in_flange(fitted, flange, values)
     total = body_estimate(fitted, f"{robot.body_name} with payload", both, values)
-    missed = missed_friction(fitted)
-    notes = [*robot.notes, *sentences]
+    notes = [*sentences]
     if unknown_inertia:
         body, total = map(_without_inertia, (body, total))
         notes.append(Detail(unknown_inertia))
         if known_mass is None:
             remarks.append(Verdict.INERTIA_NOT_KNOWN.remark())
+    missed = missed_friction(fitted)
     remarks += [Remark(Level.DOUBTS, "friction", missed)] if missed else []
+    links = link_estimates(fitted, file)
     rows = [*body_quantities(body), *body_quantities(total)]
     if known_mass is not None:
         rows += _torque_scales(fitted, divided)
-    rows += [*fit_quantities(fitted, links), *file_rows]
-    notes += [*file_notes, *result_notes(fitted, written)]
+    rows += fit_quantities(fitted, links)
     kinds = _kinds(fitted)
     recordings = {
         "empty": tuple(name for name in kinds if not kinds[name]),
@@ -147,11 +144,13 @@ def payload_result(
     }
     return result_of(
         fitted,
+        file,
+        links,
+        rows,
+        remarks,
+        [*notes, *file_notes],
         question=PAYLOAD,
         data=origin,
-        links=links,
-        remarks=(*remarks, *says(notes)),
-        quantities=tuple(rows),
         standard_errors=dict(zip(PARAMETER_NAMES, body.errors.tolist())),
         payload=Payload(
             **vars(body), flange=flange, recordings=recordings, known_mass=known_mass

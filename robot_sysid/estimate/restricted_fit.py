@@ -39,6 +39,7 @@ from robot_sysid.estimate.terms import (
 from robot_sysid.records import Array, InertialParameters, Validation
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.parameters import keys_of
+from robot_sysid.results.record import ModelErrors, ModelFile
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
@@ -72,6 +73,18 @@ def gravity_in(file: Fit) -> Array | None:
     return turn_gravity(file.point.gravity, angles)
 
 
+def model_file(file: Fit, others: Sequence[ModelErrors] = ()) -> ModelFile:
+    """Return what is said of a fitted model file, with its errors on other logs."""
+    return ModelFile(
+        error_before(file),
+        validation(file),
+        tuple(others),
+        gravity_in(file),
+        file.question.options.kept,
+        file.arm.motors,
+    )
+
+
 def fit_file(estimate: Fit, carried: Array | None = None) -> Fit:
     """Return the fit of the model file: of the terms that it holds, and of sensors' offsets.
 
@@ -103,7 +116,7 @@ def fit_file(estimate: Fit, carried: Array | None = None) -> Fit:
 
 def errors_on(
     fitted: Fit, recordings: Sequence[FilteredRecording], source: str
-) -> tuple[Validation, Validation]:
+) -> ModelErrors:
     """Return the errors of the given model and of the file on a log that was not fitted.
 
     The offset of each joint's sensor is that of this log.
@@ -119,8 +132,7 @@ def errors_on(
     for values in ({}, fitted.by_name):
         solved = other.fit([other.arm.terms["offset"]], values)
         errors.append(error_in(solved, solved.values, solved.inverse, blocks, source))
-    before, after = errors
-    return before, after
+    return ModelErrors(*errors)
 
 
 def _known_offsets(fitted: Fit) -> Term:

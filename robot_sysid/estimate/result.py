@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import COULOMB, ROTOR, TERMS
+from robot_sysid.dynamics.friction import COULOMB, ROTOR
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
@@ -23,9 +23,9 @@ from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import fit_quality, square_root
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.restricted_fit import (
-    error_before,
     error_without_rotors,
     gravity_in,
+    model_file,
 )
 from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.estimate.terms import (
@@ -58,7 +58,7 @@ from robot_sysid.records import (
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import INTERVAL, SURE
-from robot_sysid.records.messages import Level, percent, says, with_error
+from robot_sysid.records.messages import Level, Remark, percent, says, with_error
 from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.results.quantities import (
@@ -75,10 +75,11 @@ from robot_sysid.results.record import (
     LINK,
     MODEL,
     BodyEstimate,
-    ModelFile,
+    ModelErrors,
     Quantity,
     Result,
     Verdict,
+    needs_mjcf,
 )
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.wording import option_setting
@@ -93,7 +94,7 @@ def link_result(
     tests: Sequence[Validation],
     origin: DataOrigin,
     notes: Sequence[str] = (),
-    file_tests: Sequence[tuple[Validation, Validation]] = (),
+    file_tests: Sequence[ModelErrors] = (),
 ) -> Result:
     """Return the result for an arm from recordings without a payload.
 
@@ -113,19 +114,11 @@ def link_result(
     first = fitted.recordings[0]
     samples = np.linspace(0, len(first.time) - 1, CHECKPOINTS).astype(int)
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
-    acceleration_error = max(
-        recording.acceleration_error for recording in fitted.recordings
-    )
     links = link_estimates(fitted, file)
     *other_links, last_link = links
-    rows = fit_quantities(fitted, links)
-    refusals = [*find_misfits(fitted, tests)]
-    refusals += implausible_link(robot, last_link)
-    refusals += implausible_joints(robot, rows, fitted.torque)
-    written, file_rows, file_notes = model_file(fitted, file)
-    judgement = judge_file(written.validation_before, written.validation_after)
-    # A file that is worse on another log than the given model is not trustworthy.
-    on_others = [judge_file(b, a, data=b.source) for b, a in file_tests]
+    rows = [*fit_quantities(fitted, links), *beyond_model(last_link)]
+    written = model_file(file, file_tests)
+    judgement = judge_file(written)
     missed = missed_friction(fitted)
     share = fitted.unexplained_share
     sentence = unexplained_torque(fitted)
@@ -133,42 +126,50 @@ def link_result(
     # A file that clearly predicts better is written all the same, for torques only.
     is_better = judgement.about == Verdict.BETTER.name
     verdict = Verdict.TORQUES_ONLY if is_better else Verdict.UNEXPLAINED
-    remarks = [*refusals, judgement, *map(verdict.remark, doubts)]
+    remarks = [*find_misfits(fitted, tests), *implausible_link(robot, last_link)]
+    remarks += implausible_joints(robot, rows, fitted.torque)
+    remarks += [judgement, *map(verdict.remark, doubts)]
+    # A file that is worse on another log than the given model is not trustworthy.
+    on_others = [judge_file(each, data=each.before.source) for each in file_tests]
     remarks += [each for each in on_others if each.level is Level.REFUSES]
     # Links that took up the torque of missed friction say nothing of the model's.
-    is_kept = FILE_LINKS in written.unchanged
+    is_kept = FILE_LINKS in written.kept
     remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
     remarks += () if missed else wrong_links(other_links, remedy)
-    bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
-    sentences = [*robot.notes, *notes]
-    # From a fifth of the acceleration on, it is said.
-    if acceleration_error > 0.2:
-        sentences.append(
-            "the positions are too coarse or too seldom to have accelerations (expected error "
-            f"{percent(acceleration_error)}): rotors and inertias come out too small"
-        )
-    if len(bodies) > 1:
-        sentences.append(
-            f"the numbers of {last_link.name} are those of {' + '.join(bodies)} together"
-        )
-    # Logs of right models leave up to 3 %.
-    if 0.035 < share <= UNEXPLAINED:
-        sentences.append(sentence)
-    sentences += [*file_notes, *result_notes(fitted, written)]
     return result_of(
         fitted,
+        file,
+        links,
+        rows,
+        remarks,
+        [*notes, *_link_notes(fitted)],
         question=LINK,
         data=origin,
-        links=links,
         total=last_link,
         standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
-        remarks=(*remarks, *says(sentences)),
-        quantities=(*rows, *beyond_model(last_link), *file_rows),
-        file=replace(written, other_validations=tuple(file_tests)),
+        file=written,
         validation=tests,
         checkpoints=first.samples(samples),
         traces=partial(traces_of, file),
     )
+
+
+def _link_notes(fitted: Fit) -> Iterator[str]:
+    """Yield sentences on coarse positions, the bodies of the last link, and unexplained torque."""
+    error = max(recording.acceleration_error for recording in fitted.recordings)
+    # From a fifth of the acceleration on, it is said.
+    if error > 0.2:
+        yield (
+            "the positions are too coarse or too seldom to have accelerations (expected error "
+            f"{percent(error)}): rotors and inertias come out too small"
+        )
+    robot = fitted.arm.robot
+    bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
+    if len(bodies) > 1:
+        yield f"the numbers of {robot.body_name} are those of {' + '.join(bodies)} together"
+    # Logs of right models leave up to 3 %.
+    if 0.035 < fitted.unexplained_share <= UNEXPLAINED:
+        yield unexplained_torque(fitted)
 
 
 def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
@@ -186,16 +187,42 @@ def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
     yield from itertools.islice(body_quantities(beyond), 4)
 
 
-def result_of(fitted: Fit, links: Iterable[BodyEstimate], **fields: Any) -> Result:
-    """Return a result with the fields that follow from its fit and its links alone.
+def result_of(
+    fitted: Fit,
+    file_fit: Fit | None,
+    links: Iterable[BodyEstimate],
+    rows: Iterable[Quantity],
+    remarks: Iterable[Remark],
+    notes: Iterable[str],
+    **fields: Any,
+) -> Result:
+    """Return the result of recordings: its own rows, remarks and notes, then those of the file.
 
-    ``fields`` are the further ones of the result, by name.
+    Args:
+        fitted: the fit of all terms.
+        file_fit: the fit of the model file; None where that has the links as they are.
+        links: those that were estimated.
+        rows: identified numbers.
+        remarks: reasons against the result, or for it.
+        notes: sentences for the user so far.
+        fields: further fields of the result, by name.
     """
     robot = fitted.arm.robot
+    thetas = robot.thetas
+    file_rows: list[Quantity] = []
+    sentences = [*robot.notes, *notes]
+    if file_fit is not None:
+        thetas = file_fit.thetas
+        file_rows += file_quantities(fitted, file_fit)
+        sentences += file_notes(fitted, file_fit, file_rows)
+    sentences += result_notes(fitted, file_fit)
     return Result(
         robot=robot,
         quality=_quality(fitted),
         torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
+        thetas=thetas,
+        quantities=(*rows, *file_rows),
+        remarks=(*remarks, *says(sentences)),
         links={link.name: link for link in links},
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=fitted.recordings[0].cutoff,
@@ -342,52 +369,34 @@ def _quality(fitted: Fit) -> FitQuality:
     )
 
 
-def model_file(fitted: Fit, file: Fit) -> tuple[ModelFile, list[Quantity], list[str]]:
-    """Return (contents of the model file, their rows, sentences on what the file leaves out)."""
+def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
+    """Yield sentences on what a fitted model file, of these rows, leaves out."""
     robot = fitted.arm.robot
-    thetas = file.thetas
-    kept = fitted.question.options.kept
-    joints: dict[str, dict[str, float]] = {}
-    notes = []
-    rows: list[Quantity] = []
-    for row in _file_terms(fitted, file):
-        joints.setdefault(row.of, {})[TERMS[row.name].attribute] = row.value
-        rows.append(row)
-    joints = {owner: dict(sorted(joints[owner].items())) for owner in joints}
     # Of joints without torque, the log says it.
     has_torque = np.any([each.has_torque for each in fitted.recordings], axis=0)
     powered = itertools.compress(robot.joint_names, has_torque)
-    unseen = [joint for joint in powered if joint not in joints]
-    if unseen and FILE_FRICTION not in kept:
-        notes.append(
+    written = {row.of for row in rows}
+    unseen = [joint for joint in powered if joint not in written]
+    if unseen and FILE_FRICTION not in fitted.question.options.kept:
+        yield (
             f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
             "identifiable there, the model's values are kept"
         )
-    after = validation(file)
-    notes += [*_friction_notes(fitted, rows), *_offset_notes(file, after)]
-    written = ModelFile(
-        thetas,
-        joints,
-        gravity_in(file),
-        error_before(file),
-        after,
-        unchanged=kept,
-        motors=fitted.arm.motors,
-    )
-    if robot.kind == "urdf" and written.needs_mjcf:
-        tests = after, error_without_rotors(file)
+    yield from _friction_notes(fitted, rows)
+    yield from _offset_notes(file)
+    if robot.kind == "urdf" and needs_mjcf(rows, fitted.arm.motors):
+        tests = validation(file), error_without_rotors(file)
         shares = [percent(test.relative_error or 0.0) for test in tests]
-        notes.append(
+        yield (
             f"{MODEL_NAMES['urdf']} has the links and the friction of {MODEL_NAMES['mjcf']}, so "
             f"that it holds the arm up as well, but a torque error of {shares[1]} in place of "
             f"{shares[0]} in motion: most readers of URDF know neither rotor inertia, which stands "
             "in its transmissions, nor motors that turn several joints"
         )
-    return written, rows, notes
 
 
-def _file_terms(fitted: Fit, file: Fit) -> Iterator[Quantity]:
-    """Yield the friction terms and rotor inertia of joints and motors in the model file.
+def file_quantities(fitted: Fit, file: Fit) -> Iterator[Quantity]:
+    """Yield the rows of the model file: friction terms and rotor inertia of joints and motors.
 
     A rotor is written, with its error, where it differs from the model's. The offset of a torque
     sensor is not friction, and is not written. What is written has to hold on another day, too: the
@@ -430,18 +439,18 @@ def _friction_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
         )
 
 
-def _offset_notes(fitted: Fit, after: Validation) -> Iterator[str]:
+def _offset_notes(file: Fit) -> Iterator[str]:
     """Yield a sentence on torque offsets that are larger than a fitted file's held-out error."""
     squares = 0.0
     phrases = []
-    for row, parameter in enumerate(fitted.arm.terms["offset"].parameters):
-        if parameter.key in fitted.names:
-            offset, error = quantity(fitted, parameter.key)
+    for row, parameter in enumerate(file.arm.terms["offset"].parameters):
+        if parameter.key in file.names:
+            offset, error = quantity(file, parameter.key)
             if abs(offset) > SURE * error:
-                squares += offset**2 * np.sum(fitted.sums.counts[:, row])
+                squares += offset**2 * np.sum(file.sums.counts[:, row])
                 phrases.append(f"{parameter.of} {offset:.2g} {parameter.unit}")
-    squared = squares / np.sum(fitted.sums.squared_torque)
-    share = after.relative_error or 0.0
+    squared = squares / np.sum(file.sums.squared_torque)
+    share = validation(file).relative_error or 0.0
     if squared > max(LITTLE, share) ** 2:
         yield (
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
@@ -450,7 +459,7 @@ def _offset_notes(fitted: Fit, after: Validation) -> Iterator[str]:
         )
 
 
-def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
+def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
     """Yield sentences for the user on friction, motors, encoder zeros and gravity."""
     left_out = fitted.question.options.left_out_terms
     if left_out:
@@ -468,10 +477,11 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
                 f"the log reads {parameter.of} {1e3 * zero:.1f} ± {1e3 * error:.1g} "
                 f"m{parameter.unit} too large; the links are those of the true positions"
             )
-    if file is not None and file.gravity is not None:
+    gravity = None if file is None else gravity_in(file)
+    if gravity is not None:
         level = gravity_vector(fitted.arm.robot)
-        sine = np.linalg.norm(np.cross(level, file.gravity))
-        angle = math.degrees(math.atan2(sine, level @ file.gravity))
+        sine = np.linalg.norm(np.cross(level, gravity))
+        angle = math.degrees(math.atan2(sine, level @ gravity))
         yield (
             f"gravity in the written model is turned by {angle:.2f} degrees, because the base is "
             f"tilted or encoder zeros are off ({option_setting('keep', 'gravity')} leaves it "

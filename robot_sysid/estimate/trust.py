@@ -21,7 +21,7 @@ from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
-from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
+from robot_sysid.results.record import BodyEstimate, ModelErrors, Quantity, Verdict
 from robot_sysid.wording import option_name
 
 UNEXPLAINED = 0.05
@@ -221,29 +221,26 @@ def wrong_links(links: Sequence[BodyEstimate], remedy: str) -> Iterator[Remark]:
             yield Remark(Level.DOUBTS, link.name, text, remedy)
 
 
-def judge_file(
-    model: Validation, written: Validation, data: str = "held-out data"
-) -> Remark:
-    """Return the verdict on a written file from its held-out error and that of the given model.
+def judge_file(errors: ModelErrors, data: str = "held-out data") -> Remark:
+    """Return the verdict on a written file from its error and that of the given model.
 
     What is clearly higher in paired blocks of time is worse, over all or at one joint, and so is an
     error of more than half the torque. One that is small beside the torque does not count.
 
     Args:
-        model: held-out error of the given model.
-        written: held-out error of the written file, in the same blocks.
+        errors: of both, in the same blocks.
         data: what the errors are of, in words.
     """
-    old = model.relative_error
-    new = written.relative_error
+    old = errors.before.relative_error
+    new = errors.after.relative_error
     if old is None or new is None:
         return Verdict.NO_BETTER.remark("the measured torque is zero")
     sentence = f"torque error of the model on {data}: {percent(old)} -> {percent(new)}"
-    before = np.sum(model.blocks, axis=1)
-    after = np.sum(written.blocks, axis=1)
+    before = np.sum(errors.before.blocks, axis=1)
+    after = np.sum(errors.after.blocks, axis=1)
     if new > 0.5 or (new > NEGLIGIBLE and is_clearly_lower(before, after)):
         return Verdict.NO_BETTER.remark(sentence)
-    worse = worse_joints(model, written)
+    worse = worse_joints(errors.before, errors.after)
     if worse:
         return Verdict.NO_BETTER.remark(f"{sentence}, but worse at {', '.join(worse)}")
     is_better = is_clearly_lower(after, before)

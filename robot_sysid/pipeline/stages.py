@@ -288,6 +288,8 @@ def run_self_test(
             # Without noise, the error is one of rounding: none is stated.
             about = parameter.name, parameter.of, parameter.unit
             rows.append(Quantity(*about, float(model), value, None))
+    thetas = robot.thetas
+    thetas[-1] = body.theta
     verdict = self_test_verdict(body.mass, errors[0], quality)
     return Result(
         robot=robot,
@@ -296,6 +298,7 @@ def run_self_test(
         quantities=tuple(rows),
         remarks=(verdict.remark(), *says(robot.notes)),
         total=body,
+        thetas=thetas,
         torques=options.torques,
         data=DataOrigin(ITSELF, plan.duration, rate, config.trajectory.seed or 0),
         friction_model="-".join(terms) or "none",

@@ -50,7 +50,6 @@ def content_of(
     is_identified = not quality.unidentifiable
     if payload is not None:
         is_identified = bool(np.all(payload.is_determined))
-    file = result.file
     content = {
         "schema_version": SCHEMA_VERSION,
         "joint_name": joint,
@@ -78,15 +77,7 @@ def content_of(
         "friction_formulas": {
             name: term.formula for name, term in TERMS.items() if term is not ROTOR
         },
-        "file": file
-        and {
-            "name": result.model_name,
-            "before": file.validation_before,
-            "after": file.validation_after,
-            "others": [{"before": b, "after": a} for b, a in file.other_validations],
-            "gravity": file.gravity,
-            "kept": file.unchanged,
-        },
+        "file": result.file and {"name": result.model_name, **strict_json(result.file)},
         "payload": payload
         and {
             "flange": payload.flange,

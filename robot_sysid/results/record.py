@@ -6,7 +6,7 @@ A body has ten inertial parameters in the order of ``PARAMETER_NAMES``: mass [kg
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import records
-from robot_sysid.dynamics.friction import Coupling
+from robot_sysid.dynamics.friction import ROTOR, Coupling
 from robot_sysid.records import Array, InertialParameters, Motion, Traces, Validation
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
 from robot_sysid.records.messages import Level, Remark
@@ -202,35 +202,43 @@ class BodyEstimate(InertialParameters):
 
 
 @dataclass(frozen=True)
-class ModelFile:
-    """The numbers of the written model, fitted under its restrictions, and its prediction errors.
+class ModelErrors:
+    """Torque prediction errors of two models on the same data, each joint's sensor offset removed.
 
     Attributes:
-        thetas: (n, 10) parameters of the links, as in ``RobotModel.links``; zero without mass.
-        joints: joint, or motor that turns several, to its numbers by their names in MJCF:
-            "frictionloss", "damping", "armature".
-        gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
-        validation_before: held-out error of the original model, each joint's sensor offset removed.
-        validation_after: held-out error of the written model.
-        other_validations: (before, after) on each of the other logs, held out as a whole.
-        unchanged: names of what the file keeps ("friction", "gravity", "other links").
-        motors: those that turn several joints; only an MJCF can hold them.
+        before: of the original model.
+        after: of the written model.
     """
 
-    thetas: Array
-    joints: Mapping[str, Mapping[str, float]]
-    gravity: Array | None
-    validation_before: Validation
-    validation_after: Validation
-    other_validations: tuple[tuple[Validation, Validation], ...] = ()
-    unchanged: tuple[str, ...] = ()
-    motors: tuple[Coupling, ...] = ()
+    before: Validation
+    after: Validation
 
-    @property
-    def needs_mjcf(self) -> bool:
-        """Whether a URDF, as MuJoCo reads it, cannot hold all numbers."""
-        has_rotors = any("armature" in terms for terms in self.joints.values())
-        return has_rotors or bool(self.motors)
+
+@dataclass(frozen=True)
+class ModelFile(ModelErrors):
+    """What is said of a written model beside its numbers: its held-out error first of all.
+
+    Its numbers are the rows with the source ``FILE`` and the links ``Result.thetas``.
+
+    Attributes:
+        others: errors on each of the other logs, held out as a whole.
+        gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
+        kept: names of what the file keeps ("friction", "gravity", "other links").
+        motors: those that turn several joints; params.json has their numbers as rows.
+    """
+
+    others: tuple[ModelErrors, ...] = ()
+    gravity: Array | None = None
+    kept: tuple[str, ...] = ()
+    motors: tuple[Coupling, ...] = field(default=(), compare=False)
+
+
+def needs_mjcf(rows: Iterable[Quantity], motors: Sequence[Coupling]) -> bool:
+    """Return whether a URDF, as MuJoCo reads it, cannot hold all rows of a written model.
+
+    ``motors`` are those that turn several joints.
+    """
+    return bool(motors) or any((r.name, r.source) == (ROTOR.name, FILE) for r in rows)
 
 
 @dataclass(frozen=True)
@@ -258,6 +266,8 @@ class Result:
         quality: what the equations determine, and how well they are fitted.
         torques: "chain" or "terminal": the joints whose torques were fitted.
         data: where the data comes from.
+        thetas: (n, 10) parameters of the links in the written model, as in ``RobotModel.links``,
+            without a payload; zero without mass.
         quantities: every identified number, once, and every number of the written file: of bodies,
             joints, motors that turn several joints (``joint_5+joint_6``), sensors and recordings.
         remarks: what the user should know; the verdict follows from the first of the highest level.
@@ -271,7 +281,7 @@ class Result:
             they make other errors larger: friction beyond the terms, torque scales
             ("scale[joint6]"), encoder zeros, tilt and delay. It is infinite where the data does not
             determine the parameter. Empty for a simulation of the model itself.
-        file: the numbers of the written model; None where only the terminal link or the payload is
+        file: what is said of the written model; None where only the terminal link or the payload is
             written into the original.
         payload: None of the question ``LINK``.
         validation: errors of the fit in predicting torques: of held-out stretches of its logs
@@ -290,6 +300,7 @@ class Result:
     torques: str
     data: records.DataOrigin
     total: BodyEstimate
+    thetas: Array
     quantities: tuple[Quantity, ...] = ()
     remarks: tuple[Remark, ...] = ()
     links: Mapping[str, BodyEstimate] = field(default_factory=dict)
@@ -328,8 +339,8 @@ class Result:
 
         It is an MJCF where MuJoCo alone would not load a URDF, or a URDF lacks identified numbers.
         """
-        needs_mjcf = self.file is not None and self.file.needs_mjcf
-        return "mjcf" if needs_mjcf or self.robot.lacks_meshes else self.robot.kind
+        is_mjcf = needs_mjcf(self.quantities, self.file.motors if self.file else ())
+        return "mjcf" if is_mjcf or self.robot.lacks_meshes else self.robot.kind
 
     @property
     def model_name(self) -> str:

@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid import __version__
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
@@ -37,7 +38,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import with_error
 from robot_sysid.results import verification
-from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Result
+from robot_sysid.results.record import FILE, ModelTarget, Payload, Result
 
 
 def write_model(
@@ -45,9 +46,7 @@ def write_model(
 ) -> tuple[str, ...]:
     """Write a model with the identified numbers, and with the payload if there is one.
 
-    Links that are the model's own to the last digit stay as they are. Where all links were fitted
-    for a file (``result.file``, the fit with a file's parameters), they are written. Otherwise a
-    payload is written onto the model's own links, or else the terminal link alone is written.
+    Links that are the model's own to the last digit stay as they are.
 
     Args:
         result: result of the identification; it stays unchanged.
@@ -64,17 +63,12 @@ def write_model(
     """
     file = result.file
     payload = result.payload
-    thetas = result.robot.thetas
-    if file is not None:
-        thetas = file.thetas.copy()
-    elif payload is None:
-        thetas[-1] = result.body.theta
+    thetas = result.thetas.copy()
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
     robot, target = _arm_of_kind(robot, file_kind, target)
-    terms = {} if file is None else file.joints
     elements = []
     for name in robot.joint_names:
-        numbers = dict(terms.get(name, {}))
+        numbers = _numbers_of(result, name)
         # MuJoCo does not read a URDF's transmissions, in which others find rotors.
         if robot.kind == "urdf" and "armature" in numbers:
             rotor = {"armature": numbers.pop("armature")}
@@ -110,12 +104,10 @@ def write_model(
                 bodies += (
                     BodyChange(body_label(model, body), body, body_theta(model, body)),
                 )
-    gravity = None
-    if file is not None:
-        gravity = file.gravity
-        if robot.kind == "mjcf":
-            elements += _tendon_changes(robot, file)
+    if robot.kind == "mjcf":
+        elements += _tendon_changes(robot, result)
     bodies += new_bodies
+    gravity = file.gravity if file else None
     change = ModelChange(bodies, target.rmse, tuple(elements), gravity)
     _write(robot, change, target, written_thetas)
     return notes
@@ -159,12 +151,18 @@ def write_joints(
     _write(robot, ModelChange((), target.rmse, elements), target, robot.thetas)
 
 
-def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[ElementChange]:
+def _numbers_of(result: Result, owner: str) -> dict[str, float]:
+    """Return the written numbers of a joint or motor by their names in MJCF."""
+    rows = [row for row in result.quantities if (row.of, row.source) == (owner, FILE)]
+    return dict(sorted((TERMS[row.name].attribute, row.value) for row in rows))
+
+
+def _tendon_changes(robot: RobotModel, result: Result) -> Iterator[ElementChange]:
     """Yield the motors that turn several joints as fixed tendons of the model, or new ones."""
-    for motor in file.motors:
+    for motor in result.file.motors if result.file else ():
         ratios = zip(robot.joint_names, motor.ratios.tolist())
         coefficients = {joint: ratio for joint, ratio in ratios if ratio != 0.0}
-        numbers = file.joints.get(motor.name, {})
+        numbers = _numbers_of(result, motor.name)
         yield ElementChange("tendon", motor.tendon, numbers, coefficients)
 
 

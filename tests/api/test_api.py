@@ -17,7 +17,7 @@ from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Recording
 from robot_sysid.report.runs import load_run
-from robot_sysid.results.record import Verdict
+from robot_sysid.results.record import ModelErrors, Verdict
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
         workshop / "arm.xml", [log, shorter], validation_measurements=shortest
     )
     assert both.mass == pytest.approx(result.mass, rel=0.01)
-    assert len(both.file.other_validations) == 1 and len(both.validation) >= 2
+    assert len(both.file.others) == 1 and len(both.validation) >= 2
 
 
 def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
@@ -132,7 +132,8 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     """Also where the fitted log holds too little of the other one's motion to be contradicted."""
 
     def errors_on(fitted, recordings, source):
-        return [results.validation_of(e, source, relative=e) for e in (0.13, 0.21)]
+        tests = (results.validation_of(e, source, relative=e) for e in (0.13, 0.21))
+        return ModelErrors(*tests)
 
     monkeypatch.setattr("robot_sysid.pipeline.recordings.errors_on", errors_on)
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
@@ -268,9 +269,8 @@ def test_a_result_of_arrays_is_saved_with_the_data_of_its_report(
 def test_a_spec_has_the_result_in_it(result):
     pytest.importorskip("mujoco", minversion="3.2.5")
     compiled = result.spec().compile()
-    file = result.file
     assert compiled.body_subtreemass[result.robot.body_id] == pytest.approx(
-        file.thetas[-1][0]
+        result.thetas[-1][0]
     )
     joints = result.robot.joint_names
     coulomb = [result.quantity("coulomb", joint, "file").value for joint in joints]

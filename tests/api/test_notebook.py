@@ -31,5 +31,5 @@ def test_its_cells_run(monkeypatch):
     assert (
         abs(names["result"].mass - 1.517) < 3.0 * names["result"].standard_errors["m"]
     )
-    written = names["result"].file.thetas[-1][0]
+    written = names["result"].thetas[-1][0]
     assert names["compiled"].body("link6").mass[0] == pytest.approx(written)

@@ -45,21 +45,17 @@ def test_a_payload_is_given_in_the_flange_frame_with_its_errors(
     result, _ = result_and_file
     payload = result.payload
     assert result.verdict is Verdict.OK and contradiction(payload_fit, FLANGE) == ""
-    file = result.file
-    after = file.validation_after.relative_error
-    assert after < file.validation_before.relative_error
-    body = payload
-    theta = body.theta
-    assert np.max(np.abs(theta - FLANGE.to_flange(PAYLOAD)) / body.errors) < 4.0
-    assert body.errors[0] < 0.03 and result.body is payload
+    assert result.file.after.relative_error < result.file.before.relative_error
+    theta = payload.theta
+    assert np.max(np.abs(theta - FLANGE.to_flange(PAYLOAD)) / payload.errors) < 4.0
+    assert payload.errors[0] < 0.03 and result.body is payload
     difference = result.total.theta - result.links["link3"].theta
     assert_allclose(FLANGE.to_flange(difference), theta, atol=1e-12)
-    names = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
-    assert payload.recordings == names
+    assert payload.recordings == {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert "torque_scale" not in {row.name for row in result.quantities}
     assert result.quantity("drift", "joint0") is None
     row = result.quantity("mass", "payload")
-    assert (row.value, row.error) == (body.mass, pytest.approx(body.errors[0]))
+    assert (row.value, row.error) == (payload.mass, pytest.approx(payload.errors[0]))
 
 
 def test_scales_that_change_when_the_payload_comes_on_are_within_the_error():

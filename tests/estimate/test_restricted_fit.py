@@ -102,7 +102,7 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
         error = torque_error(model, robot, log)
         assert error == pytest.approx(after, rel=0.25)
     stated = errors_on(file, other, "other")
-    for each, mj_model in zip(stated, (robot.mj_model, model)):
+    for each, mj_model in zip(vars(stated).values(), (robot.mj_model, model)):
         error = torque_error(mj_model, robot, other[0])
         assert each.relative_error == pytest.approx(error, rel=0.02)
     # It has only the terms that a file holds, and each joint's sensor offset.
@@ -135,7 +135,7 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
     other = record(tilted, robot, 2)
     model = compiled(robot, file)
     error = torque_error(model, robot, other[0])
-    _, stated = errors_on(file, other, "other")
+    stated = errors_on(file, other, "other").after
     assert stated.relative_error == pytest.approx(error, rel=0.05)
     kept = file_of(robot, recordings, (GRAVITY,))
     assert gravity_in(kept) is None and not {"tilt_1", "tilt_2"} & set(kept.names)

@@ -136,9 +136,7 @@ def test_every_option_gives_a_possible_result(robot, noisy, options):
     is_refused = "no_friction" in options
     assert result.verdict.is_trustworthy == (result.failure is None) == (not is_refused)
     assert result.body.is_consistent
-    file = result.file
-    after = file.validation_after.relative_error
-    assert after < file.validation_before.relative_error
+    assert result.file.after.relative_error < result.file.before.relative_error
 
 
 def test_traces_hold_the_residual_of_the_file(robot, fits):

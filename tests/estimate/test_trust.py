@@ -12,7 +12,7 @@ from robot_sysid.estimate import trust
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import Validation
 from robot_sysid.records.messages import Level
-from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
+from robot_sysid.results.record import BodyEstimate, ModelErrors, Quantity, Verdict
 
 SEVEN = arms.robot_of(arms.SEVEN)
 REACH = link_reach(SEVEN)
@@ -144,7 +144,7 @@ def test_each_implausible_estimate_is_refused_with_its_reason(
     ],
 )
 def test_a_file_is_compared_with_the_model_before(model, file, verdict):
-    assert trust.judge_file(model, file).about == verdict.name
+    assert trust.judge_file(ModelErrors(model, file)).about == verdict.name
 
 
 def judge_fit(fitted, *tests):

@@ -49,7 +49,8 @@ LINKS = {"l1": urdf.inertial(), "l2": f"\n{HEAVY}", "tool": LIGHT, "flange": ""}
 URDF = urdf.robot(urdf.serial(LINKS, fixed=("tool", "flange")))
 JOINTS = {"xml": "j2", "urdf": "l1_l2"}
 SUFFIXES = pytest.mark.parametrize("suffix", list(JOINTS))
-FIELDS = ("armature", "damping", "frictionloss")
+FIELDS = {"armature": "armature", "damping": "viscous", "frictionloss": "coulomb"}
+"""Number of a joint in an MJCF to its name in a row."""
 TURNED = np.array([1.1, -0.7, -9.6])
 
 
@@ -91,10 +92,20 @@ def write_and_compile(robot, result, folder=None, as_body=None, file_kind=None):
     return WrittenModel(path, compile_model(path).mj_model, notes)
 
 
-def file_of(robot, thetas=None, joints=None, gravity=None):
-    """What a written model should hold: the model's own links and gravity where none are given."""
-    thetas = robot.thetas if thetas is None else thetas
-    return made.model_file(thetas=thetas, joints=joints or {}, gravity=gravity)
+def file_of(joints, gravity=None, motors=()):
+    """What a written model should hold beside links, as fields of a result.
+
+    ``joints``: joint or motor to its numbers by their names in MJCF.
+    """
+    rows = []
+    for owner, numbers in joints.items():
+        for attribute, value in numbers.items():
+            rows.append(
+                record.Quantity(
+                    FIELDS[attribute], owner, "", None, value, 0, record.FILE
+                )
+            )
+    return {"quantities": rows, "file": made.model_file(gravity=gravity, motors=motors)}
 
 
 def payload_of(robot, theta, flange_position=None):
@@ -105,13 +116,14 @@ def payload_of(robot, theta, flange_position=None):
     return record.Payload(**body, flange=flange, recordings=recordings)
 
 
-def result_of(robot, theta=None, file=None, payload=None, **changes):
+def result_of(robot, theta=None, **changes):
     """A result with the parameters theta (10,) of the terminal link, by default the model's own."""
-    theta = robot.prior.theta if theta is None else theta
-    link = record.BodyEstimate(theta, robot.body_name)
-    fields = {"robot": robot, "verdict": record.Verdict.OK, "total": link}
-    fields |= {"file": file, "payload": payload, **changes}
-    return made.found(**fields)
+    thetas = robot.thetas
+    if theta is not None:
+        thetas[-1] = theta
+    link = record.BodyEstimate(thetas[-1], robot.body_name)
+    changes = {"verdict": record.Verdict.OK, "thetas": thetas, **changes}
+    return made.found(robot=robot, total=link, **changes)
 
 
 def some_payload(rng):
@@ -166,12 +178,12 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     theta = some_payload(rng)
     payload = payload_of(robot, theta, flange_position)
     thetas = robot.thetas
-    file = None
+    file = {}
     if has_file:  # what it says of the terminal link counts, not what the payload does
         thetas = new_links(robot, rng)
         joints = dict.fromkeys(robot.joint_names, {"frictionloss": 0.25})
-        file = file_of(robot, thetas, joints, TURNED)
-    result = result_of(robot, file=file, payload=payload)
+        file = file_of(joints, TURNED)
+    result = result_of(robot, thetas=thetas, **file, payload=payload)
     path, mj_model, notes = write_and_compile(robot, result, as_body=name)
     assert notes == ()
     expected = thetas[-1] + payload.flange.from_flange(theta)
@@ -223,8 +235,7 @@ def new_joints(robot, rng):
     """Random rotor inertia and friction of each joint."""
     joints = {}
     for joint in robot.joint_names:
-        values = rng.uniform(0.1, 2.0, 3)
-        joints[joint] = dict(zip(FIELDS, values))
+        joints[joint] = dict(zip(FIELDS, rng.uniform(0.1, 2.0, 3)))
     return joints
 
 
@@ -244,7 +255,7 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
     joints = {}
     for name, values in zip(robot.joint_names, factor * numbers.T):
         joints[name] = dict(zip(FIELDS, values))
-    result = result_of(robot, file=file_of(robot, joints=joints))
+    result = result_of(robot, **file_of(joints))
     reloaded = load_robot_model(write_and_compile(robot, result).path)
     model = reloaded.mj_model
     written = reloaded.armature, reloaded.friction.viscous
@@ -259,7 +270,8 @@ RATIOS = np.array([0.0, 1.0, -2.0])
 
 
 def with_motor(robot, seed):
-    """What a file holds: every link, every joint, and a motor that turns two joints."""
+    """What a file holds: every link, every joint, and a motor that turns two joints; the last two
+    as they were drawn, too."""
     rng = np.random.default_rng(seed)
     (motor,) = motors_of(robot, "chain")[0] or (coupling(robot, RATIOS),)
     joints = new_joints(robot, rng)
@@ -267,7 +279,8 @@ def with_motor(robot, seed):
     if "armature" not in robot.path.read_text().partition("<fixed")[2]:
         # MuJoCo before 3.2.7 has no rotor inertia of tendons.
         del joints[motor.name]["armature"]
-    return replace(file_of(robot, new_links(robot, rng), joints), motors=(motor,))
+    file = file_of(joints, motors=(motor,))
+    return {"thetas": new_links(robot, rng), **file}, joints
 
 
 @pytest.mark.parametrize(
@@ -275,8 +288,8 @@ def with_motor(robot, seed):
 )
 def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     robot = load_arm(tmp_path, source)
-    file = with_motor(robot, 7)
-    path = write_and_compile(robot, result_of(robot, file=file)).path
+    file, joints = with_motor(robot, 7)
+    path = write_and_compile(robot, result_of(robot, **file)).path
     assert "motor that turns joint1 and joint2 identified with" in path.read_text()
     reloaded = load_robot_model(path)
     model = reloaded.mj_model
@@ -286,10 +299,10 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     # What the file takes is the torque of what was identified.
     motion = checkpoints(robot)
     links = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd)
-    expected = links.torque(file.thetas)
+    expected = links.torque(file["thetas"])
     # Row i of the transmission (4, 3) is the speed of owner i: the joints, then the motor.
     transmission = np.vstack((np.eye(3), RATIOS))
-    for values, ratios in zip(file.joints.values(), transmission):
+    for values, ratios in zip(joints.values(), transmission):
         speed = motion.qd @ ratios
         torque = values["frictionloss"] * np.sign(speed) + values["damping"] * speed
         torque += values.get("armature", 0.0) * (motion.qdd @ ratios)
@@ -297,10 +310,10 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     assert_allclose(ArmDynamics(reloaded)(motion), expected, rtol=1e-9, atol=1e-9)
 
     # Written again, it is the same motor with other numbers.
-    file = with_motor(reloaded, 8)
-    path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
+    file, joints = with_motor(reloaded, 8)
+    path = write_and_compile(reloaded, result_of(reloaded, **file)).path
     (motor,) = motors_of(load_robot_model(path), "chain")[0]
-    assert_array_equal(motor.model[0], file.joints[motor.name]["frictionloss"])
+    assert_array_equal(motor.model[0], joints[motor.name]["frictionloss"])
 
 
 @pytest.mark.parametrize("ratio", [1.0, 50.0])
@@ -321,8 +334,10 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path, ratio):
         motor.name: {"frictionloss": 0.5},
         "l1_l2": {"armature": 0.1, "frictionloss": 0.2},
     }
-    file = file_of(robot, new_links(robot, np.random.default_rng(0)), joints)
-    result = result_of(robot, file=replace(file, motors=(motor,)))
+    thetas = new_links(robot, np.random.default_rng(0))
+    result = result_of(robot, thetas=thetas, **file_of(joints, motors=(motor,)))
+    for one_alone in ({"file": None}, {"quantities": ()}):
+        assert replace(result, **one_alone).model_kind == "mjcf"
     mjcf = load_robot_model(write_and_compile(robot, result).path)
     folder = tmp_path / "urdf"
     written = write_and_compile(robot, result, folder, file_kind="urdf")
@@ -331,7 +346,7 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path, ratio):
     assert mjcf.mj_model.tendon_frictionloss.tolist() == [0.5]
     assert mjcf.armature.tolist() == [0.0, 0.1, 0.0]
     assert not np.any(of_urdf.armature) and of_urdf.friction.coulomb[1] == 0.2
-    for theta, link, other in zip(file.thetas, mjcf.links, of_urdf.links):
+    for theta, link, other in zip(thetas, mjcf.links, of_urdf.links):
         assert_same_theta(link.theta, theta)
         assert_same_theta(other.theta, theta)
     q = np.random.default_rng(1).uniform(-1.0, 1.0, (100, robot.n_joints))
@@ -355,7 +370,7 @@ def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
     thetas = new_links(robot, np.random.default_rng(0))
     thetas[0] = thetas[2]
     with pytest.raises(ExportError, match="joint yaw moves no link of its own"):
-        write_and_compile(robot, result_of(robot, file=file_of(robot, thetas)))
+        write_and_compile(robot, result_of(robot, thetas=thetas))
 
 
 def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypatch):
@@ -364,9 +379,8 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
     folder = robot.path.parent / "withdrawn"
     monkeypatch.setattr(model_module, "changed_model_text", lambda *_: MJCF.encode())
     for changes in (
-        {"theta": 2.0 * robot.prior.theta},
-        {"file": file_of(robot, new_links(robot, rng))},
-        {"file": file_of(robot, gravity=TURNED)},
+        {"thetas": new_links(robot, rng)},
+        file_of({}, TURNED),
         {"payload": payload_of(robot, some_payload(rng))},
     ):
         name = "load" if "payload" in changes else None
@@ -382,8 +396,7 @@ def test_a_factor_on_all_masses_is_in_all_bodies_of_the_file(tmp_path, factor):
     robot = load_robot_model(path, mass_scale=factor)
     thetas = robot.thetas
     thetas[0] *= 1.2
-    file = file_of(robot, thetas)
-    written = write_and_compile(robot, result_of(robot, file=file)).mj_model
+    written = write_and_compile(robot, result_of(robot, thetas=thetas)).mj_model
     expected = factor * load_robot_model(path).mj_model.body_mass
     expected[robot.links[0].body_id] *= 1.2
     assert_allclose(written.body_mass, expected, rtol=1e-9)
@@ -402,7 +415,7 @@ def test_links_that_are_the_models_own_are_left_alone(tmp_path):
     robot = load_arm(tmp_path, arms.THREE)
     thetas = robot.thetas
     thetas[-1] += random_theta(np.random.default_rng(2), 0.2)
-    result = result_of(robot, file=file_of(robot, thetas))
+    result = result_of(robot, thetas=thetas)
     text = write_and_compile(robot, result).path.read_text()
     assert text.count("System ID") == 1
     assert text.count(arms.LINK) == arms.THREE.count(arms.LINK) == 2
@@ -441,9 +454,9 @@ def test_any_arm_takes_any_links_and_any_payload(
     gravity = 9.8 * rng.normal(size=3)
     has_payload = target != "links"
     payload = payload_of(robot, some_payload(rng), at) if has_payload else None
-    file = file_of(robot, thetas, joints, gravity)
+    file = file_of(joints, gravity)
     name = "load" if target == "own body" else None
-    result = result_of(robot, file=file, payload=payload)
+    result = result_of(robot, thetas=thetas, **file, payload=payload)
     path = write_and_compile(robot, result, as_body=name).path
     written = load_robot_model(path, joint=last)
     for theta, link in zip(thetas[: -1 if has_payload else None], written.links):
