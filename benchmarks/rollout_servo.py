@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks import servo_arm
 from rigs.places import MODELS
-from robot_sysid.logs import FittedLogOptions
+from robot_sysid.config import IdentifyConfig
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
@@ -45,11 +45,12 @@ def main(*names: str) -> None:
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "log.csv"
             servo_arm.write_log(log, arm, *servo_arm.commands(robot, rng), STEP)
-            options = FittedLogOptions(measurements=(log,))
+            options = {"measurements": (log,), "output_dir": Path(folder) / "out"}
+            config = IdentifyConfig.of(robot.path, **options)
             begun = time.monotonic()
-            outcome = run_servo(robot, options, Path(folder) / "out", None, Progress())
+            outcome = run_servo(config, robot, Progress())
             spent = time.monotonic() - begun
-            piece = open_log(robot, log, replace(options, commanded=True))
+            piece = open_log(robot, log, replace(config.log, commanded=True))
             first = round((1.0 - HELD_OUT_SHARE) * len(piece))
             held = piece[first:]
         report(name, arm, robot, outcome, held, spent)

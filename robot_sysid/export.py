@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from robot_sysid.config import Config, PayloadConfig, PayloadOptions
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import file_access
-from robot_sysid.records.controllers import AUTO
+from robot_sysid.records import RobotModel, file_access
 from robot_sysid.records.messages import Level, NextStep, Progress, says
+from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
@@ -64,32 +65,22 @@ def writable_folder(folder: Path, progress: Progress) -> Iterator[None]:
 
 def save(
     result: Result,
-    folder: Path,
+    config: Config,
     progress: Progress,
-    *,
-    mesh_dir: Path | None = None,
-    as_body: str | None = None,
-    card_choice: str = AUTO,
     motor_file: MotorFile | None = None,
-    inputs: Collection[Path] = (),
-    links: bool = False,
     step: NextStep | None = None,
 ) -> Written:
-    """Write params.json, and where the result may be used the model and a payload's card.
+    """Write params.json, and where the result may be used the model and a payload's card or scales.
 
     A result that may not be used, or that does not fit into this model, gets a params.json only,
     which says why. An error before files take their places leaves the folder as it was.
 
     Args:
         result: with ``checkpoints``, where the written model must reproduce the predicted torque.
-        folder: the output folder, in which files of earlier runs are removed.
+        config: options of the run. Files of earlier runs in its output folder are removed, but for
+            those that this run reads, whatever they are called.
         progress: receives notes on the written files.
-        mesh_dir: the user's mesh folder, if any.
-        as_body: name of a new body for the payload; None merges it into the terminal link.
-        card_choice: whose cards of a payload are written, of ``controllers.CHOICES``.
         motor_file: drafts the motor trajectory; None for none.
-        inputs: files that this run reads, beside the model; they stay whatever they are called.
-        links: whether the printed table shows every link.
         step: what to do after a result that may be used; None for nothing more.
 
     Returns:
@@ -98,6 +89,8 @@ def save(
     Raises:
         InputError: the folder cannot be written to.
     """
+    folder = config.output.output_dir
+    options = config.payload if isinstance(config, PayloadConfig) else PayloadOptions()
     # Of a known mass the torques are calibrated: there is nothing to write of such a payload.
     payload = result.payload
     is_calibration = payload is not None and payload.known_mass is not None
@@ -110,11 +103,11 @@ def save(
         if failure is None and not is_calibration:
             # Drafted first, the model appears last: what the other files say then holds for it.
             assert result.checkpoints is not None
-            target = ModelTarget(
-                files, folder, result.checkpoints, result.quality.rmse, mesh_dir
-            )
+            rmse = result.quality.rmse
+            mesh_dir = config.model.mesh_dir
+            target = ModelTarget(files, folder, result.checkpoints, rmse, mesh_dir)
             try:
-                written, notes = _write_models(result, target, as_body)
+                written, notes = _write_models(result, target, options.as_body)
             except ExportError as error:
                 failure = (
                     f"{error} (the identified numbers are in {file_access.PARAMS_NAME})"
@@ -122,7 +115,7 @@ def save(
             if payload is not None:
                 written.append(folder / file_access.CARD_NAME)
                 card = number_groups(payload)
-                text = card_text(payload, card, result.robot, card_choice)
+                text = card_text(payload, card, result.robot, options.cards)
                 files.write(written[-1], text)
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
@@ -133,10 +126,9 @@ def save(
         written.append(folder / file_access.PARAMS_NAME)
         shown = {**content, "verdict": verdict, "next_step": step}
         files.write(written[-1], file_access.json_text(shown))
-        model_files = read_document(result.robot.path).contents
-        removed = remove_earlier(files, folder, written, (*inputs, *model_files))
+        removed = remove_earlier(files, config, result.robot, written)
     lines = (
-        *block_lines(content, links),
+        *block_lines(content, config.output.links),
         f"Results saved to {folder_text(folder)}",
         *more_lines(content),
         *clamping,
@@ -145,6 +137,10 @@ def save(
     uses = [verdict.name for verdict in Verdict if verdict.level is Level.SAYS]
     remarks = [remark for remark in result.remarks if remark.about not in uses]
     progress.remark(*remarks, *says((*notes, *removed)))
+    if options.save_torque_scale is not None and content["failure"] is None:
+        rows = [row for row in result.quantities if row.name == "torque_scale"]
+        scales = {row.of: (row.value, row.error or 0.0) for row in rows}
+        write_torque_scale(options.save_torque_scale, scales)
     return Written(tuple(written), lines, verdict, content["failure"], result)
 
 
@@ -181,25 +177,28 @@ def _write_models(
 
 def remove_earlier(
     files: file_access.AtomicFiles,
-    folder: Path,
+    config: Config,
+    robot: RobotModel,
     written: Collection[Path],
-    read: Collection[Path],
 ) -> list[str]:
     """Have result files of an earlier run removed once those of this run are in place.
 
+    Files that this run reads stay, whatever they are called.
+
     Args:
         files: which removes them when it commits.
-        folder: the output folder.
+        config: names the output folder, and files that this run reads.
+        robot: the arm, whose model file may include others.
         written: files of this run; they stay.
-        read: files that this run reads; they stay, too.
 
     Returns:
         A note per removed result.
     """
+    read = [*filter(None, config.input_files()), *read_document(robot.path).contents]
     used = {os.path.realpath(path) for path in (*written, *read)}
     notes = []
     for name in (*RESULT_NAMES, *_LATER_NAMES):
-        path = folder / name
+        path = config.output.output_dir / name
         if path.is_file() and os.path.realpath(path) not in used:
             files.remove(path)
             if name not in _LATER_NAMES:

@@ -26,15 +26,15 @@ BUDGETS = {
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 7195,
+    "robot_sysid/pipeline": 7049,
     "robot_sysid/records": 10384,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 10356,
-    "robot_sysid/servo": 4852,
+    "robot_sysid/servo": 4811,
     "robot_sysid/signals": 5306,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10666,
-    "tests": 212118,
+    "robot_sysid": 10752,
+    "tests": 212121,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -23,6 +23,7 @@ from rigs.model_files import ARM, write_files
 from rigs.notes import NoteRecorder
 from rigs.schemas import schema
 from robot_sysid import export as module
+from robot_sysid.config import PayloadConfig
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError
 from robot_sysid.export import RESULT_NAMES, save
@@ -53,11 +54,12 @@ def out(tmp_path):
     return tmp_path / "out"
 
 
-def save_result(robot, result, out, progress=None, **options):
-    """Save a result as a run does."""
-    progress = progress or NoteRecorder()
-    result = replace(result, checkpoints=checkpoints(robot))
-    return save(result, out, progress, **options)
+def save_result(result, out, progress=None, motor_file=None, **options):
+    """Save a result as a run with options does."""
+    options = {"output_dir": out, "empty": ("a",), "loaded": ("b",), **options}
+    config = PayloadConfig.of(result.robot.path, **options)
+    result = replace(result, checkpoints=checkpoints(result.robot))
+    return save(result, config, progress or NoteRecorder(), motor_file)
 
 
 def heavier(robot):
@@ -72,7 +74,7 @@ def names_in(folder):
 
 def test_the_whole_way_from_a_result(robot, out):
     progress = NoteRecorder()
-    output = save_result(robot, heavier(robot), out, progress)
+    output = save_result(heavier(robot), out, progress)
     assert [path.name for path in output.files] == ["updated_model.xml", "params.json"]
     assert (progress.notes, output.failure) == ([], None)
     assert not any("Damiao" in line for line in output.lines)
@@ -85,15 +87,14 @@ def test_the_whole_way_from_a_result(robot, out):
 
 def test_an_mjcf_stands_beside_a_urdf_whose_meshes_mujoco_does_not_read(tmp_path, out):
     """Geometry is left out of it, so that MuJoCo loads it."""
-    links = dict.fromkeys(("l1", "l2"), urdf.inertial())
-    links["l2"] += urdf.mesh("collision", "package://arm/l2.dae")
+    mesh = urdf.mesh("collision", "package://arm/l2.dae")
+    links = {"l1": urdf.inertial(), "l2": urdf.inertial() + mesh}
     text = urdf.robot(urdf.serial(links))
     robot = load_robot_model(write_files(tmp_path / "in", {"arm.urdf": text}))
     (note,) = robot.notes
     assert "a written MJCF without them" in note
-    output = save_result(robot, heavier(robot), out)
-    names = ["updated_model.xml", "updated_model.urdf", "params.json"]
-    assert [path.name for path in output.files] == names
+    output = save_result(heavier(robot), out)
+    assert names_in(out) == ["params.json", "updated_model.urdf", "updated_model.xml"]
     assert f"Use this file: {out}/updated_model.xml" in output.verdict
     model = mujoco.MjModel.from_xml_path(str(output.files[0]))
     assert model.body("l2").mass == pytest.approx(3.0, rel=1e-5) and model.nmesh == 0
@@ -105,8 +106,8 @@ def test_an_mjcf_stands_beside_a_urdf_whose_meshes_mujoco_does_not_read(tmp_path
 
 
 def test_a_payload_has_a_card_beside_the_model(robot, out):
-    payload = payload_of(robot, THETA)
-    output = save_result(robot, result_of(robot, payload=payload), out, as_body="load")
+    result = result_of(robot, payload=payload_of(robot, THETA))
+    output = save_result(result, out, as_body="load")
     assert names_in(out) == ["params.json", "payload_card.txt", "updated_model.xml"]
     model = load_robot_model(out / "updated_model.xml", joint="j2").mj_model
     assert model.body("load").mass == approx(2.0, rel=1e-12)
@@ -118,7 +119,7 @@ def test_a_payload_has_a_card_beside_the_model(robot, out):
 
 def test_torques_that_were_weighed_with_a_known_mass_go_into_no_model(robot, out):
     payload = replace(payload_of(robot, THETA), known_mass=2.0)
-    assert save_result(robot, result_of(robot, payload=payload), out).failure is None
+    assert save_result(result_of(robot, payload=payload), out).failure is None
     assert names_in(out) == ["params.json"]
 
 
@@ -130,7 +131,7 @@ def test_a_result_that_is_not_trusted_gets_a_params_json_alone(
     doubtful = result_of(
         robot, payload=payload, remarks=(Verdict.TOO_WEAK.remark("so light"),)
     )
-    output = save_result(robot, doubtful, out)
+    output = save_result(doubtful, out)
     assert names_in(out) == ["params.json"]
     omission = "no model and no card were" if with_payload else "no model was"
     assert output.failure.startswith(
@@ -149,10 +150,10 @@ def test_the_motor_trajectory_stands_beside_the_others_or_nothing_does(robot, ou
         return (path,), ["  beyond it"]
 
     with pytest.raises(InputError, match="no such motor"):
-        save_result(robot, heavier(robot), out, motor_file=motor_file)
+        save_result(heavier(robot), out, motor_file=motor_file)
     assert not out.exists()
     errors.clear()
-    output = save_result(robot, heavier(robot), out, motor_file=motor_file)
+    output = save_result(heavier(robot), out, motor_file=motor_file)
     names = ["updated_model.xml", "damiao_trajectory.csv", "params.json"]
     assert [path.name for path in output.files] == names
     assert output.lines[-1] == "  beyond it"
@@ -164,56 +165,42 @@ def test_no_result_of_an_earlier_run_stays_and_nothing_else_goes(robot, out):
         out, {**EARLIER, **OTHERS, "bundle/m.xml": "sent", "params.json.bak": "mine"}
     )
     progress = NoteRecorder()
-    save_result(robot, heavier(robot), out, progress)
+    save_result(heavier(robot), out, progress)
     result_names = {"updated_model.xml", "params.json"}
-    assert set(names_in(out)) == result_names | set(OTHERS) | {
-        "bundle",
-        "params.json.bak",
-    }
+    assert {*names_in(out)} == {*result_names, *OTHERS, "bundle", "params.json.bak"}
     assert (out / "bundle" / "m.xml").read_text() == "sent"
     assert all((out / name).read_text() == text for name, text in OTHERS.items())
     assert all("an earlier" not in (out / name).read_text() for name in result_names)
-    removed_names = sorted(set(RESULT_NAMES) - result_names)
-    assert sorted(progress.notes) == [
-        f"{out / name} of an earlier run was removed" for name in removed_names
-    ]
+    removed = {*RESULT_NAMES} - result_names
+    notes = {f"{out / name} of an earlier run was removed" for name in removed}
+    assert sorted(progress.notes) == sorted(notes)
 
 
 @pytest.mark.parametrize("case", ["not trusted", "does not fit"])
 def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
     write_files(out, EARLIER)
-    result = heavier(robot)
+    result = result_of(robot, -robot.prior.theta)
     if case == "not trusted":
-        result = replace(result, remarks=(Verdict.TOO_WEAK.remark(),))
-    else:
-        result = result_of(robot, -robot.prior.theta)
+        result = replace(heavier(robot), remarks=(Verdict.TOO_WEAK.remark(),))
     progress = NoteRecorder()
-    output = save_result(robot, result, out, progress)
+    output = save_result(result, out, progress)
     assert names_in(out) == ["params.json"]
     assert len(progress.notes) == len(RESULT_NAMES) - 1
     assert ("not a possible rigid body" in output.failure) == (case == "does not fit")
     assert json.loads((out / "params.json").read_text())["mass"] == result.body.mass
 
 
-def test_what_this_run_reads_stays_whatever_it_is_called(robot, out):
+def test_what_this_run_reads_stays_whatever_it_is_called(out):
     log = "report_data.npz"
     text = '<mujoco><include file="servo.json"/><worldbody/></mujoco>'
-    write_files(
-        out,
-        {
-            "updated_model.xml": text,
-            "servo.json": ARM,
-            log: "a log",
-            "payload_card.txt": "",
-        },
-    )
-    robot_in_out = load_robot_model(out / "updated_model.xml", joint="j2")
+    files = {"m.xml": text, "servo.json": ARM, log: "", "payload_card.txt": ""}
+    write_files(out, files)
+    robot_in_out = load_robot_model(out / "m.xml", joint="j2")
     (out / "link").symlink_to(out, target_is_directory=True)
     weak = replace(heavier(robot_in_out), remarks=(Verdict.TOO_WEAK.remark(),))
     progress = NoteRecorder()
-    save_result(robot_in_out, weak, out / "link", progress, inputs=[out / log])
-    names = ["link", "params.json", log, "servo.json", "updated_model.xml"]
-    assert names_in(out) == names
+    save_result(weak, out / "link", progress, empty=(out / log,))
+    assert names_in(out) == ["link", "m.xml", "params.json", log, "servo.json"]
     (note,) = progress.notes
     assert "payload_card.txt" in note
 
@@ -228,7 +215,7 @@ def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(module, "number_groups", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            save_result(robot, result_of(robot, payload=payload_of(robot, THETA)), out)
+            save_result(result_of(robot, payload=payload_of(robot, THETA)), out)
     assert files_in(out) == old_files
 
 
@@ -279,9 +266,8 @@ def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
 
 def test_every_number_has_one_row():
     for result in (made.whole(), made.payload(), made.itself()):
-        keys = []
-        for row in content_of(result)["quantities"]:
-            keys.append((row["name"], row["of"], row["source"] == FILE))
+        rows = content_of(result)["quantities"]
+        keys = [(row["name"], row["of"], row["source"] == FILE) for row in rows]
         assert len(set(keys)) == len(keys)
 
 

@@ -19,7 +19,6 @@ from robot_sysid.config import (
     LogConfig,
     MotionConfig,
     PayloadConfig,
-    PayloadOptions,
     PlanConfig,
     SelfTestConfig,
     with_scale_prior,
@@ -35,7 +34,7 @@ from robot_sysid.records.data import FitQuality
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Detail, NextStep, Progress, says
-from robot_sysid.records.option_fields import given_values, write_torque_scale
+from robot_sysid.records.option_fields import given_values
 from robot_sysid.results.quantities import (
     BEYOND,
     MOMENT,
@@ -69,14 +68,7 @@ def run(config: Config, progress: Progress | None = None) -> Written:
     if isinstance(config, IdentifyConfig) and config.output.torque_from is not None:
         from robot_sysid.servo import run_servo
 
-        return run_servo(
-            load_arm(config, progress),
-            config.log,
-            config.output.output_dir,
-            config.model.mesh_dir,
-            progress,
-            config.input_files(),
-        )
+        return run_servo(config, load_arm(config, progress), progress)
     with writable_folder(config.output.output_dir, progress):
         robot = load_arm(config, progress)
         if isinstance(config, PlanConfig):
@@ -190,35 +182,15 @@ def write_results(
         progress: receives stages, and notes on the written files.
         plan: the motion that a simulation followed.
     """
-    folder = config.output.output_dir
-    payload = PayloadOptions()
     motor_file = None
-    if isinstance(config, PayloadConfig):
-        payload = config.payload
-    elif isinstance(config, MotionConfig) and plan is not None:
+    if isinstance(config, MotionConfig) and plan is not None:
         motor_file = partial(draft_motor_file, config, result.robot, plan)
-    written = save(
-        result,
-        folder,
-        progress,
-        mesh_dir=config.model.mesh_dir,
-        as_body=payload.as_body,
-        card_choice=payload.cards,
-        motor_file=motor_file,
-        inputs=[*filter(None, config.input_files())],
-        links=config.output.links,
-        step=step_after_run(config, result),
-    )
-    scale_path = payload.save_torque_scale
-    if scale_path is not None and written.failure is None:
-        scales = {}
-        for row in result.quantities:
-            if row.name == "torque_scale":
-                scales[row.of] = row.value, row.error or 0.0
-        write_torque_scale(scale_path, scales)
+    step = step_after_run(config, result)
+    written = save(result, config, progress, motor_file, step)
     if result.traces and (config.output.report or result.is_measured):
         from robot_sysid.report import runs
 
+        folder = config.output.output_dir
         # Of this run, whatever another one writes to the folder in the meantime.
         fingerprint = runs.fingerprint(folder)
         try:

@@ -6,20 +6,19 @@ n joints; a piece is a part of a log without gaps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import ExportError
 from robot_sysid.export import Written, remove_earlier, writable_folder
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_log, origin_of, refuse_repeated_logs
-from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ElementChange
 from robot_sysid.records import (
     Array,
@@ -184,31 +183,24 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
         )
 
 
-def run_servo(
-    robot: RobotModel,
-    logs: FittedLogOptions,
-    folder: Path,
-    mesh_dir: Path | None,
-    progress: Progress,
-    input_files: Sequence[Path | None] = (),
-) -> Written:
+def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> Written:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
-    A model is written only if it plays the held-out data better, or
-    the log options accept it anyway.
+    A model is written only if it plays the held-out data better, or the log options accept it
+    anyway.
 
     Args:
+        config: names the logs, and the folder of the results, in which those of an earlier run are
+            removed.
         robot: the arm as in the model file.
-        logs: names the logs to fit, and the validation log.
-        folder: for the results; those of an earlier run in it are removed.
-        mesh_dir: folder of the model's meshes; None where the file says.
-        input_files: files that the run reads, which are never removed.
+        progress: receives stages and notes.
 
     Raises:
         InputError: the logs cannot be used; nothing is written then.
     """
+    folder = config.output.output_dir
     with writable_folder(folder, progress), file_access.atomic_files() as files:
-        result, poses = identify_servos(robot, logs, progress)
+        result, poses = identify_servos(robot, config.log, progress)
         old = rms(result.before)
         new = rms(result.after)
         verdict = (
@@ -224,7 +216,7 @@ def run_servo(
             )
             accepting = option_setting("accept", "rollout")
             verdict = f"Not usable, but written because of {accepting}: {fault}"
-            if "rollout" not in logs.accept:
+            if "rollout" not in config.log.accept:
                 remedy = f"to write it all the same: {accepting}"
                 failure = f"no model was written: {fault}; {remedy}"
         written = []
@@ -234,7 +226,7 @@ def run_servo(
                 # A URDF holds neither the rotor inertia nor the gains that were judged.
                 path = folder / file_access.MODEL_NAMES["mjcf"]
                 # No torque was measured, so there is no residual to state.
-                target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
+                target = ModelTarget(files, path, poses, 0.0, config.model.mesh_dir)
                 write_joints(robot, tuple(result.changes()), target)
                 written.append(path)
         except ExportError as error:
@@ -244,8 +236,7 @@ def run_servo(
         result = replace(result, notes=tuple(dict.fromkeys(notes)))
         written.append(folder / file_access.SERVO_NAME)
         files.write(written[-1], file_access.json_text(result.json_content()))
-        read = [*filter(None, input_files), *read_document(robot.path).contents]
-        removed = remove_earlier(files, folder, written, read)
+        removed = remove_earlier(files, config, robot, written)
     progress.note(*result.notes, *removed)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
     last_lines = [verdict, *use_lines(written[0])]

@@ -12,8 +12,8 @@ from rigs.model_files import write_files
 from rigs.notes import NoteRecorder
 from rigs.servo_logs import XML, commanded, positions, write
 from robot_sysid import servo
+from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError
-from robot_sysid.logs import FittedLogOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, Recording
 from robot_sysid.records.data import DataOrigin
@@ -46,15 +46,15 @@ def identification(robot, error=0.1):
     return servo.ServoIdentification(robot, fit, true, origin, *errors, ())
 
 
-def run(robot, folder, monkeypatch, error=0.1, accept=(), **options):
+def run(robot, folder, monkeypatch, error=0.1, accept=()):
     """Write a given identification; return the outcome and the notes."""
     zero = np.zeros((3, robot.n_joints))
     poses = Motion(np.arange(3.0), zero, zero, zero)
     result = identification(robot, error)
     monkeypatch.setattr(servo, "identify_servos", lambda *_: (result, poses))
     progress = NoteRecorder()
-    logs = FittedLogOptions(accept=accept)
-    outcome = servo.run_servo(robot, logs, folder, None, progress, **options)
+    config = IdentifyConfig.of(robot.path, accept=accept, output_dir=folder)
+    outcome = servo.run_servo(config, robot, progress)
     schemas.check(folder / "servo.json")
     return outcome, progress.notes
 
@@ -147,8 +147,8 @@ def so_arm(tmp_path):
 
 
 def identify(robot, paths, folder):
-    logs = FittedLogOptions(measurements=paths)
-    return servo.run_servo(robot, logs, folder / "found", None, NoteRecorder())
+    config = IdentifyConfig.of(robot.path, measurements=paths, output_dir=folder)
+    return servo.run_servo(config, robot, NoteRecorder())
 
 
 def test_a_gain_that_no_link_shows_is_written_with_its_friction_and_rotor(
@@ -158,7 +158,7 @@ def test_a_gain_that_no_link_shows_is_written_with_its_friction_and_rotor(
     paths = data_set(tmp_path, so_arm, SO_TRUTH, (1.0, 0.1, 1.0))
     outcome = identify(so_arm, paths, tmp_path)
     assert outcome.verdict[0].startswith("Usable")
-    written = load_robot_model(tmp_path / "found" / "updated_model.xml")
+    written = load_robot_model(tmp_path / "updated_model.xml")
     assert outcome.result.fit.is_shown[0].tolist() == [True, True, False]
     errors = np.abs(servos_in_model(written).numbers / SO_TRUTH.numbers - 1.0)
     assert np.all(errors[[0, 1, 3]] < [[0.1], [0.2], [0.2]])
@@ -186,7 +186,7 @@ def test_numbers_that_play_worse_than_the_models_are_all_kept(
     last = [row for row in outcome.result.quantities if row.of == "roll"]
     assert {row.source for row in last} == {"model"}
     assert any("roll" in note and "worse" in note for note in outcome.result.notes)
-    written = load_robot_model(tmp_path / "found" / "updated_model.xml")
+    written = load_robot_model(tmp_path / "updated_model.xml")
     last = [servos_in_model(robot).numbers[:, 2] for robot in (written, so_arm)]
     np.testing.assert_array_equal(*last)
 
