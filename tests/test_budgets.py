@@ -17,7 +17,7 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3865,
-    "robot_sysid/commands": 9794,
+    "robot_sysid/commands": 9763,
     "robot_sysid/damiao": 30130,
     "robot_sysid/diagnosis": 15755,
     "robot_sysid/dynamics": 3036,
@@ -26,10 +26,10 @@ BUDGETS = {
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 7049,
+    "robot_sysid/pipeline": 7044,
     "robot_sysid/records": 10384,
     "robot_sysid/report": 4902,
-    "robot_sysid/results": 10356,
+    "robot_sysid/results": 10327,
     "robot_sysid/servo": 4811,
     "robot_sysid/signals": 5306,
     "robot_sysid/simulation": 3465,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
             "duration": log.duration,
             "sample_rate": rate,
             "notes": log.notes,
-            "findings": [{**asdict(f), "level": f.level.value} for f in findings],
+            "findings": findings,
         }
     )
     require_acceptable([log], findings, log_options.accept)

@@ -90,7 +90,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
             verdict += step.lines()
     answer = {
         "verdict": verdict,
-        "next_step": step and vars(step),
+        "next_step": step,
         "failure": failure,
         "prediction": lines,
         "files": list(map(str, paths)),

@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.records import ITSELF
 from robot_sysid.records.file_access import CARD_NAME, models_in
-from robot_sysid.records.messages import Detail, NextStep, percent, with_error
+from robot_sysid.records.messages import Detail, NextStep, percent
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD, Verdict
@@ -26,9 +26,11 @@ from robot_sysid.results.table import (
     beyond_line,
     body_rows,
     cells,
+    centre_text,
     friction_rows,
     label,
     largest_changes,
+    number_with_error,
     rows_of,
     table_lines,
 )
@@ -60,7 +62,7 @@ def block_lines(content: Content, links: bool) -> list[str]:
         rows = body_rows(content, PAYLOAD)
         flange = content["payload"]["flange"]["name"]
         lines = [f"Identified payload, in the frame of {flange}:"]
-        lines += table_lines(cells(row, label(row)) for row in rows)
+        lines += table_lines(map(cells, rows))
         if 1 < len(rows) < 10:
             lines.append(f"  {NOT_KNOWN}")
         return lines
@@ -70,7 +72,7 @@ def block_lines(content: Content, links: bool) -> list[str]:
     lines = [beyond] if beyond else []
     link = content["body_name"]
     rows = body_rows(content, link) + friction_rows(content, content["joint_name"])
-    table = [cells(row, label(row)) for row in rows]
+    table = [*map(cells, rows)]
     title = f"{link} with all on it"
     if links:
         table = [*all_cells(content)]
@@ -143,11 +145,8 @@ def _payload_lines(content: Content) -> Iterator[str]:
     link = content["body_name"]
     for preposition, body in (("without", link), ("with", f"{link} with payload")):
         mass, *com = body_rows(content, body)[:4]
-        listed = ", ".join(with_error(row["value"], row["error"]) for row in com)
-        text = with_error(mass["value"], mass["error"], "kg")
-        yield Detail(
-            f"Terminal link {preposition} it: {text}, centre of mass [{listed}] m"
-        )
+        text = f"{number_with_error(mass)}, {centre_text(com)}"
+        yield Detail(f"Terminal link {preposition} it: {text}")
     scales = [row for row in content["quantities"] if row["name"] == "torque_scale"]
     if scales:
         known = content["payload"]["known_mass"]
@@ -156,7 +155,7 @@ def _payload_lines(content: Content) -> Iterator[str]:
             "there):"
         )
     for row in scales:
-        yield f"  {row['of']}: {with_error(row['value'], row['error'])}"
+        yield f"  {row['of']}: {number_with_error(row)}"
 
 
 def _validation_lines(content: Content) -> Iterator[str]:
@@ -228,7 +227,7 @@ def _improvements(content: Content) -> Iterator[str]:
     if row is None or row["error"] is None or row["value"] <= 0.0:
         yield f"the mass of {of} alone is not identifiable"
         return
-    mass = with_error(row["value"], row["error"], "kg")
+    mass = number_with_error(row)
     text = f"{of} weighs {mass}"
     if row["error"] >= KNOWN * row["value"]:
         text = f"the mass of {of} alone is not known: {mass}"

@@ -107,13 +107,25 @@ def _difference(row: Content) -> str:
     return f"{sign}{number_text(difference, error)}"
 
 
-def cells(row: Content, title: str) -> tuple[str, ...]:
-    """Return a row as text, one cell per heading, under the title of the first."""
+def number_with_error(row: Content) -> str:
+    """Return a row's value with its standard error and unit."""
+    return with_error(row["value"], row["error"], row["unit"])
+
+
+def centre_text(rows: Iterable[Content]) -> str:
+    """Return a phrase with a centre of mass from its three rows."""
+    listed = ", ".join(with_error(row["value"], row["error"]) for row in rows)
+    return f"centre of mass [{listed}] m"
+
+
+def cells(row: Content, title: str = "") -> tuple[str, ...]:
+    """Return a row as text, one cell per heading; the first has its label, or another title."""
     error = row["error"]
     before = "" if row["model"] is None else number_text(row["model"], error)
     after = number_text(row["value"], error)
     plus_minus = "" if error is None else number_text(error, error)
-    return (title, before, after, plus_minus, row["unit"], change(row))
+    unit = row["unit"]
+    return (title or label(row), before, after, plus_minus, unit, change(row))
 
 
 def shown_columns(rows: Iterable[Sequence[str]], title: str) -> list[tuple[str, ...]]:
@@ -154,12 +166,10 @@ def beyond_line(content: Content) -> str:
     link = content["body_name"]
     if not is_shown(mass) or moment["error"] is None:
         return f"These torques do not show whether anything is bolted to {link} beyond the model"
-    product, weight = (
-        with_error(row["value"], row["error"], row["unit"]) for row in (moment, mass)
-    )
+    weight = number_with_error(mass)
     is_seen = [abs(r["value"]) >= INTERVAL * r["error"] for r in (moment, mass)]
     unseen = number_text(INTERVAL * mass["error"], mass["error"])
-    text = f"mass times distance {product}"
+    text = f"mass times distance {number_with_error(moment)}"
     if not any(is_seen):
         text = (
             f"nothing seen ({text}, mass {weight}; less than {unseen} kg would not be)"
@@ -172,8 +182,7 @@ def beyond_line(content: Content) -> str:
             f" from the frame of {link}; its mass is not known from one log ({weight})"
         )
     else:
-        listed = ", ".join(with_error(row["value"], row["error"]) for row in com)
-        text += f", mass {weight}, centre of mass [{listed}] m in the frame of {link}"
+        text += f", mass {weight}, {centre_text(com)} in the frame of {link}"
     return f"Bolted on beyond the model: {text}"
 
 

@@ -147,7 +147,7 @@ def run_command(
         "command": name,
         "exit_code": code,
         "verdict": session.verdict,
-        "next_step": session.step and vars(session.step),
+        "next_step": session.step,
         "lines": console.json_lines,
     }
     try:
