@@ -12,14 +12,14 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import link_result
 from robot_sysid.records import Recording, RobotModel
-from robot_sysid.results.record import Result
+from robot_sysid.results.record import Identification
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.signals.resampling import split_at_gaps
 
 
 def result_of_logs(
     robot: RobotModel, logs: Iterable[Recording], options: EstimationOptions
-) -> Result:
+) -> Identification:
     """Return the result of measurements of the arm alone, cut where they have gaps."""
     pieces = []
     for number, log in enumerate(logs):

@@ -32,11 +32,11 @@ from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
     BodyEstimate,
+    Identification,
     ModelErrors,
     ModelFile,
     Payload,
     Quantity,
-    Result,
     Verdict,
 )
 from robot_sysid.spatial import PARAMETER_NAMES, theta_from_com
@@ -104,7 +104,7 @@ def found(result=ESTIMATE, **changes):
     rows = [*body_quantities(last)]
     for joint in JOINTS:
         rows += joint_rows(result, joint)
-    defaults = Result(
+    defaults = Identification(
         question=LINK,
         robot=ARM,
         quality=result.quality,

@@ -22,7 +22,7 @@ from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
-from robot_sysid.results.record import ModelTarget, Result, Verdict
+from robot_sysid.results.record import Identification, ModelTarget, Verdict
 from robot_sysid.results.written_model import write_model
 
 # Files that a command writes after the results.
@@ -42,7 +42,7 @@ class Written:
         lines: printed lines, in order.
         verdict: whether to use the result, which file, and the next step; printed last.
         failure: why there is nothing to use, or None.
-        result: a ``Result``, identified servos, or what --json prints of a plan.
+        result: a ``Identification``, identified servos, or what --json prints of a plan.
     """
 
     files: tuple[Path, ...]
@@ -64,7 +64,7 @@ def writable_folder(folder: Path, progress: Progress) -> Iterator[None]:
 
 
 def save(
-    result: Result,
+    result: Identification,
     config: Config,
     progress: Progress,
     motor_file: MotorFile | None = None,
@@ -145,7 +145,7 @@ def save(
 
 
 def _write_models(
-    result: Result, target: ModelTarget, as_body: str | None
+    result: Identification, target: ModelTarget, as_body: str | None
 ) -> tuple[list[Path], list[str]]:
     """Write the updated model into the folder ``target.path``; return (paths, notes).
 

@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 7044,
+    "robot_sysid/pipeline": 7048,
     "robot_sysid/records": 10384,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 10327,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5306,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10752,
-    "tests": 212121,
+    "tests": 212111,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -24,9 +24,9 @@ from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, torque_unit, with_error
-from robot_sysid.results import record
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines, verdict_line
+from robot_sysid.results.record import Identification
 from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
 from robot_sysid.wording import in_python
@@ -41,10 +41,10 @@ def one_thread() -> AbstractContextManager[Any]:
 
 
 @dataclass(frozen=True, repr=False)
-class Result(record.Result):
+class Result(Identification):
     """An identified arm or payload, from ``identify``, ``self_test`` or ``payload``.
 
-    It has all fields of ``results.record.Result``; ``remarks`` has those on logs, too.
+    It has all fields of an ``Identification``; ``remarks`` has those on logs, too.
 
     Attributes:
         config: the options that it was identified with.

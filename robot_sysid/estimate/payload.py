@@ -45,9 +45,9 @@ from robot_sysid.results.quantities import (
 from robot_sysid.results.record import (
     PAYLOAD,
     BodyEstimate,
+    Identification,
     Payload,
     Quantity,
-    Result,
     Verdict,
 )
 from robot_sysid.spatial import PARAMETER_NAMES
@@ -84,7 +84,7 @@ def payload_result(
     origin: DataOrigin,
     sentences: Sequence[str],
     divided: Array,
-) -> Result:
+) -> Identification:
     """Return the result for a payload.
 
     Args:

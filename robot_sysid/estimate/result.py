@@ -1,4 +1,4 @@
-"""From fits to the Result: bodies, joints, sensors, the model file, the verdict, notes, traces.
+"""From fits to what was identified: bodies, joints, sensors, model file, verdict, notes, traces.
 
 Shapes: n joints of the chain, J joints with equations; k estimated parameters; a body has ten
 inertial parameters (``PARAMETER_NAMES``).
@@ -75,9 +75,9 @@ from robot_sysid.results.record import (
     LINK,
     MODEL,
     BodyEstimate,
+    Identification,
     ModelErrors,
     Quantity,
-    Result,
     Verdict,
     needs_mjcf,
 )
@@ -95,7 +95,7 @@ def link_result(
     origin: DataOrigin,
     notes: Sequence[str] = (),
     file_tests: Sequence[ModelErrors] = (),
-) -> Result:
+) -> Identification:
     """Return the result for an arm from recordings without a payload.
 
     Its remarks are reasons against the fit, the links or the model file first. Where too much
@@ -195,7 +195,7 @@ def result_of(
     remarks: Iterable[Remark],
     notes: Iterable[str],
     **fields: Any,
-) -> Result:
+) -> Identification:
     """Return the result of recordings: its own rows, remarks and notes, then those of the file.
 
     Args:
@@ -216,7 +216,7 @@ def result_of(
         file_rows += file_quantities(fitted, file_fit)
         sentences += file_notes(fitted, file_fit, file_rows)
     sentences += result_notes(fitted, file_fit)
-    return Result(
+    return Identification(
         robot=robot,
         quality=_quality(fitted),
         torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",

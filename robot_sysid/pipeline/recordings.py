@@ -36,7 +36,7 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
-from robot_sysid.results.record import Result
+from robot_sysid.results.record import Identification
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 from robot_sysid.simulation.plant import load_plant, plant_measurements
@@ -46,7 +46,7 @@ from robot_sysid.wording import option_name, option_setting
 
 def identify_logs(
     config: IdentifyConfig, robot: RobotModel, progress: Progress
-) -> Result:
+) -> Identification:
     """Read the logs, diagnose each of them, and identify the arm from all.
 
     Args:
@@ -80,7 +80,7 @@ def identify_logs(
 
 def identify_plant(
     config: SelfTestConfig, robot: RobotModel, plan: MotionPlan, progress: Progress
-) -> Result:
+) -> Identification:
     """Let another model play the real arm along a motion, and identify from its sensors.
 
     Its samples are written to the file of ``--save-measurements``, if it is given.
@@ -122,7 +122,7 @@ def _result(
     notes: Sequence[str],
     progress: Progress,
     tests: Sequence[Recording] = (),
-) -> Result:
+) -> Identification:
     """Return the result of a fit: the model file, its errors, and what is drawn.
 
     Args:
@@ -173,7 +173,7 @@ def _read_logs(
 
 def identify_payload(
     config: PayloadConfig, robot: RobotModel, progress: Progress
-) -> Result:
+) -> Identification:
     """Identify a payload from the logs that a configuration names; no file is written.
 
     Args:

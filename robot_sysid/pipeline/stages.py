@@ -41,7 +41,13 @@ from robot_sysid.results.quantities import (
     body_quantities,
     without_rounding,
 )
-from robot_sysid.results.record import LINK, BodyEstimate, Quantity, Result, Verdict
+from robot_sysid.results.record import (
+    LINK,
+    BodyEstimate,
+    Identification,
+    Quantity,
+    Verdict,
+)
 from robot_sysid.results.table import KNOWN
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import simulate_inverse
@@ -103,7 +109,7 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
 
 def identify(
     config: Config, robot: RobotModel, progress: Progress
-) -> tuple[Result, MotionPlan | None]:
+) -> tuple[Identification, MotionPlan | None]:
     """Identify an arm or a payload from logs or a simulation; no result file is written.
 
     Args:
@@ -132,7 +138,7 @@ def identify(
 
 def identify_simulated(
     config: SelfTestConfig, robot: RobotModel, progress: Progress
-) -> tuple[Result, MotionPlan]:
+) -> tuple[Identification, MotionPlan]:
     """Identify an arm from a simulation, as ``identify``.
 
     The motion is saved where the configuration names a file for it.
@@ -169,7 +175,10 @@ def identify_simulated(
 
 
 def write_results(
-    config: Config, result: Result, progress: Progress, plan: MotionPlan | None = None
+    config: Config,
+    result: Identification,
+    progress: Progress,
+    plan: MotionPlan | None = None,
 ) -> Written:
     """Write all files of a result, and the data of a later report.
 
@@ -200,7 +209,7 @@ def write_results(
     return written
 
 
-def step_after_run(config: Config, result: Result) -> NextStep | None:
+def step_after_run(config: Config, result: Identification) -> NextStep | None:
     """Return what to do after an identification that may be used, or None for nothing more."""
     arm = vars(config.model)
     folder = config.output.output_dir
@@ -231,7 +240,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
 
 def run_self_test(
     config: SelfTestConfig, robot: RobotModel, plan: MotionPlan, progress: Progress
-) -> Result:
+) -> Identification:
     """Simulate the model along a trajectory and identify its terminal link, in constant memory.
 
     Args:
@@ -263,7 +272,7 @@ def run_self_test(
     thetas = robot.thetas
     thetas[-1] = body.theta
     verdict = self_test_verdict(body.mass, errors[0], quality)
-    return Result(
+    return Identification(
         robot=robot,
         question=LINK,
         quality=quality,

@@ -16,7 +16,7 @@ import numpy as np
 from robot_sysid.dynamics.friction import ROTOR, TERMS
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import says
-from robot_sysid.results.record import Result
+from robot_sysid.results.record import Identification
 from robot_sysid.results.written_model import versions
 from robot_sysid.spatial import PARAMETER_NAMES
 
@@ -27,7 +27,7 @@ Content = Mapping[str, Any]
 
 
 def content_of(
-    result: Result,
+    result: Identification,
     card: Content | None = None,
     notes: Sequence[str] = (),
     failure: str | None = None,
@@ -103,7 +103,7 @@ def content_of(
     return {key: strict_json(value) for key, value in content.items()}
 
 
-def refusal(result: Result) -> str | None:
+def refusal(result: Identification) -> str | None:
     """Return why neither a model nor a card is written, or None where the result may be used."""
     if result.failure is None:
         return None

@@ -218,7 +218,7 @@ class ModelErrors:
 class ModelFile(ModelErrors):
     """What is said of a written model beside its numbers: its held-out error first of all.
 
-    Its numbers are the rows with the source ``FILE`` and the links ``Result.thetas``.
+    Its numbers are the rows with the source ``FILE`` and the links ``Identification.thetas``.
 
     Attributes:
         others: errors on each of the other logs, held out as a whole.
@@ -257,8 +257,11 @@ class Payload(BodyEstimate):
 
 
 @dataclass(frozen=True)
-class Result:
-    """Everything that files, console, report and Python programs read of an identification.
+class Identification:
+    """What was identified: all that files, console, report and Python programs read of it.
+
+    The functions of Python return it as ``api.results.Result``, with what is done with it: to save
+    and to print it is the work of layers that read this record, so that it has no such methods.
 
     Attributes:
         question: ``LINK`` or ``PAYLOAD``.

@@ -38,11 +38,11 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import with_error
 from robot_sysid.results import verification
-from robot_sysid.results.record import FILE, ModelTarget, Payload, Result
+from robot_sysid.results.record import FILE, Identification, ModelTarget, Payload
 
 
 def write_model(
-    result: Result, target: ModelTarget, as_body: str | None, file_kind: str
+    result: Identification, target: ModelTarget, as_body: str | None, file_kind: str
 ) -> tuple[str, ...]:
     """Write a model with the identified numbers, and with the payload if there is one.
 
@@ -151,13 +151,15 @@ def write_joints(
     _write(robot, ModelChange((), target.rmse, elements), target, robot.thetas)
 
 
-def _numbers_of(result: Result, owner: str) -> dict[str, float]:
+def _numbers_of(result: Identification, owner: str) -> dict[str, float]:
     """Return the written numbers of a joint or motor by their names in MJCF."""
     rows = [row for row in result.quantities if (row.of, row.source) == (owner, FILE)]
     return dict(sorted((TERMS[row.name].attribute, row.value) for row in rows))
 
 
-def _tendon_changes(robot: RobotModel, result: Result) -> Iterator[ElementChange]:
+def _tendon_changes(
+    robot: RobotModel, result: Identification
+) -> Iterator[ElementChange]:
     """Yield the motors that turn several joints as fixed tendons of the model, or new ones."""
     for motor in result.file.motors if result.file else ():
         ratios = zip(robot.joint_names, motor.ratios.tolist())

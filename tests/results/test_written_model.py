@@ -454,9 +454,10 @@ def test_any_arm_takes_any_links_and_any_payload(
     gravity = 9.8 * rng.normal(size=3)
     has_payload = target != "links"
     payload = payload_of(robot, some_payload(rng), at) if has_payload else None
-    file = file_of(joints, gravity)
     name = "load" if target == "own body" else None
-    result = result_of(robot, thetas=thetas, **file, payload=payload)
+    result = result_of(
+        robot, thetas=thetas, payload=payload, **file_of(joints, gravity)
+    )
     path = write_and_compile(robot, result, as_body=name).path
     written = load_robot_model(path, joint=last)
     for theta, link in zip(thetas[: -1 if has_payload else None], written.links):
