@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5306,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10752,
-    "tests": 212111,
+    "tests": 212129,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

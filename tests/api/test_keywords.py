@@ -114,6 +114,8 @@ KEYS = {
     for key in inspect.signature(function).parameters
 }
 
+SPELLING = ("option_name", "option_setting")
+
 
 def test_no_text_that_python_may_print_spells_an_option_itself():
     for name, source in package_sources().items():
@@ -129,7 +131,7 @@ def test_no_text_that_python_may_print_spells_an_option_itself():
                 if id(node) not in docstrings and text != f"--{''.join(flags)}":
                     keys = {flag.replace("-", "_") for flag in flags}
                     assert KEYS.isdisjoint(keys), (name, text)
-            elif ast.unparse(node).startswith(("option_name(", "option_setting(")):
+            elif isinstance(node, ast.Call) and ast.unparse(node.func) in SPELLING:
                 key = node.args[0]
                 if isinstance(key, ast.Constant):
                     assert key.value.rstrip("_") in KEYS, (name, key.value)

@@ -33,9 +33,9 @@ def arm(mass=0.3, kp=17.8, limit=""):
     return robot_of(ARM.format(mass=mass, kp=kp, limit=limit))
 
 
-def log(robot, scale=1.0, truth=TRUTH, steps=20):
+def log(robot, scale=1.0, truth=TRUTH, steps=20, seconds=20.0):
     """A log of an arm behind servos with the true numbers, in some steps a sample."""
-    time, command = commanded(20.0)
+    time, command = commanded(seconds)
     command = scale * command
     q = positions(robot, time, command, truth, steps=steps)
     return Recording(time, q, None, command - q, command=command)
@@ -129,8 +129,8 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     in_model = servos_in_model(robot)
     others = [[0.11, 0.1], [0.02, 0.018]]
     truth = ServoParameters(np.vstack((in_model.numbers[:2], others)), 0.02)
-    # Small ones: at its limit, a step's error acts as rotor inertia.
-    piece = log(robot, truth=truth, steps=200)
+    # Small steps: at its limit, a step's error acts as rotor inertia.
+    piece = log(robot, 0.8, truth, steps=200, seconds=4.0)
     fit = fit_to(robot, piece)
     assert fit.is_fast.all()
     problem = ServoProblem(ServoRollouts(robot), [piece])
