@@ -26,6 +26,8 @@ N_INERTIAL = len(PARAMETER_NAMES)
 _OF_THETA = np.array([[4, 5, 6, 1], [5, 7, 8, 2], [6, 8, 9, 3], [1, 2, 3, 0]])
 # Index in [xx, xy, xz, yy, yz, zz] of each entry of a symmetric matrix.
 _OF_SIX = _OF_THETA[:3, :3] - 4
+# Entries of its upper triangle, in the same order.
+_UPPER = np.triu_indices(3)
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -56,12 +58,12 @@ def symmetric_from_six(six: Array) -> Array:
 
 def six_from_symmetric(matrix: Array) -> Array:
     """Return [xx, xy, xz, yy, yz, zz] of a (3, 3) symmetric matrix."""
-    return matrix[np.triu_indices(3)]
+    return matrix[_UPPER]
 
 
 def fullinertia_from_symmetric(matrix: Array) -> Array:
     """Return MuJoCo's order [xx, yy, zz, xy, xz, yz] of a (3, 3) symmetric matrix."""
-    return np.concatenate((np.diag(matrix), matrix[np.triu_indices(3, 1)]))
+    return six_from_symmetric(matrix)[[0, 3, 5, 1, 2, 4]]
 
 
 def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
@@ -70,8 +72,8 @@ def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
 
     Parallel-axis theorem: I_origin = I_com + m (|c|^2 1 - c c^T).
     """
-    about_origin = inertia_com + _steiner(mass, com)
-    return np.hstack((mass, mass * com, six_from_symmetric(about_origin)))
+    six = six_from_symmetric(inertia_com + _steiner(mass, com))
+    return np.hstack((mass, mass * com, six))
 
 
 def com_from_theta(theta: Array) -> tuple[float, Array, Array]:

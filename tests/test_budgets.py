@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 30130,
     "robot_sysid/diagnosis": 15755,
     "robot_sysid/dynamics": 3036,
-    "robot_sysid/estimate": 29075,
+    "robot_sysid/estimate": 29072,
     "robot_sysid/logs": 14553,
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 4811,
     "robot_sysid/signals": 5306,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10752,
-    "tests": 212129,
+    "robot_sysid": 10749,
+    "tests": 212091,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -292,8 +292,9 @@ class JointSums:
 
     def add(self, rows: Array, block: NDArray[np.int64]) -> None:
         """Add rows [A b] (m, p + 1); ``block`` (m,) is -1 of an unused one."""
-        present = np.flatnonzero(np.any(rows != 0.0, axis=0))
-        columns = np.union1d(self.columns, present)
+        is_present = np.any(rows, axis=0)
+        is_present[self.columns] = True
+        columns = np.flatnonzero(is_present)
         if len(columns) > len(self.columns):
             at = np.searchsorted(columns, self.columns)
             products = np.zeros((2, len(self.counts), len(columns), len(columns)))

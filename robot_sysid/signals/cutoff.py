@@ -80,14 +80,14 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         gain = np.abs(np.fft.rfft(kernel, length))[1:]
         return float((1.0 - gain) ** 2 @ motion + gain**2 @ noise)
 
-    errors = np.array([error(candidate) for candidate in candidates])
+    errors = np.array([*map(error, candidates)])
     # An error of 5e-5 does no harm, as it biases an identified inertia by the same share, 0.005 %;
     # and around its minimum the error is flat.
     largest_error = max(5e-5, 1.25 * errors.min())
-    index = np.flatnonzero(errors <= largest_error)[-1]
+    accurate_cutoffs = candidates[errors <= largest_error]
     # Torques hold more that is not motion the higher the frequency: other data are predicted best
     # at this share of the highest cut-off whose error is small (docs/measurements.md).
-    cutoff = float(max(0.6 * candidates[index], candidates[0]))
+    cutoff = float(max(0.6 * accurate_cutoffs[-1], candidates[0]))
     # Below four times the frequency, links that move fast are told from friction no more. One that
     # was 40 % too heavy was found 120 % too heavy at 1.9 times the frequency, and 60 % at 4 times
     # (positions of 12 bits at 30 Hz). An error that biases an inertia by 0.25 % is bearable.

@@ -1,4 +1,4 @@
-"""Two arms with correct logs, which the tests of all checks spoil."""
+"""An arm with a correct log, which the tests of all checks spoil."""
 
 from __future__ import annotations
 
@@ -22,6 +22,11 @@ NOISY = replace(
     SAMPLES,
     tau=SAMPLES.tau + 0.01 * np.random.default_rng(1).normal(size=SAMPLES.tau.shape),
 )
+
+
+def slow(*values):
+    """Return values of a parameter that repeat what others show, for the slow tests."""
+    return [pytest.param(value, marks=pytest.mark.slow) for value in values]
 
 
 def read_log(robot, samples, name="log.csv", divided=1.0):
@@ -51,14 +56,6 @@ def findings_of(robot, *samples, **options):
 def found_in(truth, **samples):
     """Return what is wrong with a log of a truth, some of whose samples are others."""
     return findings_of(truth.robot, replace(truth.log, **samples))
-
-
-@pytest.fixture(scope="session")
-def truth():
-    """Return a correct log of an arm of five joints and its truth."""
-    joint = 'range="-2.5 2.5" armature=".02"'
-    robot = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:5], joint=joint))
-    return truth_of(robot, seed=3)
 
 
 @pytest.fixture(scope="session")

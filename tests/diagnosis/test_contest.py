@@ -16,24 +16,27 @@ from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.process import low_pass_recordings
-from tests.diagnosis.conftest import findings_of, found_in
+from tests.diagnosis.conftest import findings_of, found_in, judged
 
 QUESTION = Question(EstimationOptions())
 
 
 @pytest.fixture(scope="module")
-def right(truth):
+def right(four_joints):
     """Return the fit of a right log, with the columns of all causes."""
-    recordings, _ = low_pass_recordings(truth.robot, [replace(truth.log, name="log")])
-    return solved(truth.robot, recordings, QUESTION, beside=beside)
+    logs = [replace(four_joints.log, name="log")]
+    recordings, _ = low_pass_recordings(four_joints.robot, logs)
+    return solved(four_joints.robot, recordings, QUESTION, beside=beside)
 
 
-def test_a_right_log_fits_shows_the_link_and_has_no_explanation(truth, right):
-    assert right.unexplained_share < 0.02 and is_plausible(right)
-    mass = right.by_name["m"]
-    error = right.errors[right.at(["m"])][0]
-    assert abs(mass - truth.theta[0]) < 3.0 * error
-    assert found_in(truth) == ()
+def test_a_right_log_is_used_whole_and_has_no_explanation(four_joints):
+    answer = judged(four_joints.robot, four_joints.log)
+    assert answer.findings == ()
+    fit = answer.fit
+    assert fit.unexplained_share < 0.02 and is_plausible(fit)
+    assert abs(fit.by_name["m"] - four_joints.theta[0]) < 3.0 * fit.error_of("m")
+    (recording,) = fit.recordings
+    assert recording.touched == ()
 
 
 def test_each_explanation_is_found_with_the_value_that_is_put_in(right):
@@ -70,18 +73,17 @@ def add_to_torque(gram):
     return turn.T @ gram @ turn
 
 
-def test_deviations_that_the_prior_allows_are_not_named(truth):
+def test_deviations_that_the_prior_allows_are_not_named(four_joints):
     """Torque scales that the user declares uncertain are unknowns of the fit."""
-    log = replace(truth.log, tau=truth.log.tau * [1.0, 1.3, 0.8, 1.2, 1.0])
+    log = replace(four_joints.log, tau=four_joints.log.tau * [1.0, 1.3, 1.0, 1.0])
     for priors, is_named in ((Priors(), True), (Priors(scale=40.0), False)):
-        found = findings_of(truth.robot, log, priors=priors)
+        found = findings_of(four_joints.robot, log, priors=priors)
         assert any(f.level is not Level.SAYS for f in found) is is_named
 
 
-def test_torque_that_nothing_explains_is_said_with_what_is_missing(truth):
-    noise = np.random.default_rng(0).normal(size=truth.log.tau.shape)
-    noise = np.cumsum(noise, axis=0)
-    (finding,) = found_in(truth, tau=noise)
+def test_torque_that_nothing_explains_is_said_with_what_is_missing(four_joints):
+    noise = np.random.default_rng(0).normal(size=four_joints.log.tau.shape)
+    (finding,) = found_in(four_joints, tau=np.cumsum(noise, axis=0))
     assert finding.about in ("model", "unexplained")
     assert "the torques do not fit this model" in finding.text
     assert "of the model's weight" in finding.text and finding.options == ()
