@@ -433,7 +433,8 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
     # The time of each block, from -1/2 to 1/2: each log has as many.
     count = logs.count(logs[0])
     along = np.tile((np.arange(count) + 0.5) / count - 0.5, len(logs) // count)
-    scales = fitted.arm.terms[SCALES].names
+    terms = fitted.arm.terms
+    scales = terms[SCALES].names
     owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(joints)}
     for owner, joint in {**owners, "all joints": None}.items():
         yield Explanation(
@@ -462,8 +463,8 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
         "%",
         factor=TIME,
     )
-    if "coulomb" in fitted.arm.terms:
-        names = [*fitted.arm.terms["coulomb"].names, *fitted.arm.terms["viscous"].names]
+    if "coulomb" in terms:
+        names = terms["coulomb"].names + terms["viscous"].names
         # Of joints that turn at about 1 rad/s.
         least = np.tile(0.01 * typical_torque(fitted), 2)
         sizes = np.maximum(np.abs([fitted.by_name[name] for name in names]), least)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -58,7 +57,6 @@ class LowPass:
         )
 
 
-@lru_cache
 def design_low_pass(cutoff: float, rate: float) -> LowPass:
     """Return the low-pass with a cut-off [Hz] at a sample rate [Hz].
 
