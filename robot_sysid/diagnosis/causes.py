@@ -243,7 +243,7 @@ def strongest_rate(time: Array, residual: Array) -> float:
     From 2 periods per log on, in steps of a quarter of a period, by a Fourier transform of the
     residual on an even grid.
     """
-    step = max(float(np.median(np.diff(time))), 1e-9)
+    step = max(np.median(np.diff(time)), 1e-9)
     grid = np.bincount(np.rint(time / step).astype(int), residual)
     size = 4 * len(grid)
     spectrum = np.abs(np.fft.rfft(grid, size))[: int(0.4 * size)]
@@ -432,7 +432,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
     logs = fitted.sums.logs
     # The time of each block, from -1/2 to 1/2: each log has as many.
     count = logs.count(logs[0])
-    along = np.tile((np.arange(count) + 0.5) / count - 0.5, len(logs) // count)
+    along = np.tile(np.arange(0.5, count) / count - 0.5, len(logs) // count)
     terms = fitted.arm.terms
     scales = terms[SCALES].names
     owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(joints)}
@@ -465,16 +465,14 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
     )
     if "coulomb" in terms:
         names = terms["coulomb"].names + terms["viscous"].names
-        # Of joints that turn at about 1 rad/s.
-        least = np.tile(0.01 * typical_torque(fitted), 2)
-        sizes = np.maximum(np.abs([fitted.by_name[name] for name in names]), least)
+        spread = 0.6 * np.abs([fitted.by_name[name] for name in names])
         for shares, change in (
             (along, "changes over the log"),
             (None, "is not that of the other logs"),
         ):
             yield Explanation(
                 "friction",
-                effect(names, 0.6 * sizes, None, shares),
+                effect(names, spread, None, shares),
                 f"friction {change}",
                 "let the arm warm up before it is recorded",
                 level=Level.SAYS,

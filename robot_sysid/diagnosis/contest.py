@@ -108,10 +108,9 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     is_fitting = fits(fitted) and not any(map(is_like_gravity, contest.winners))
     if not (is_experiment or is_fitting):
         best = sorted(corrections(fitted, evidence), key=lambda c: -c.gain)
-        contests = [Contest(each, evidence) for each in best[:1]]
         # Whatever explains torques in another unit, they are not right as they are.
         is_unit = is_foreign(fitted)
-        contests.append(contest)
+        contests = [*(Contest(each, evidence) for each in best[:1]), contest]
         contest = max(contests, key=lambda c: (c.explains, is_unit or c.gain))
     right = contest.start.fit
     named = [*contest.start.findings]
@@ -151,8 +150,8 @@ def is_of_single_joints(fitted: Fit) -> bool:
 
     Such an experiment hardly shows links, nor what is wrong with their torques as a whole.
     """
-    used = [recording.used[:, fitted.arm.indices] for recording in fitted.recordings]
-    counts = np.sum(np.concatenate(used), axis=1)
+    used = np.concatenate([recording.used for recording in fitted.recordings])
+    counts = np.sum(used[:, fitted.arm.indices], axis=1)
     return bool(np.mean(counts[counts > 0]) < 1.5) if np.any(counts) else False
 
 
