@@ -102,11 +102,6 @@ def test_a_resting_joint_keeps_the_models_numbers_and_an_offset_is_noted(
     assert not any("torque sensor" in remark.text for remark in result.remarks)
 
 
-def test_a_log_with_its_joints_reversed_is_refused(robot, noisy):
-    result = result_of(robot, replace(noisy, tau=noisy.tau[:, ::-1]))
-    assert not result.verdict.is_trustworthy and result.failure
-
-
 @pytest.mark.parametrize(
     ("rotor", "verdict", "note"),
     [

@@ -20,6 +20,7 @@ from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     gravity_vector,
+    link_names,
     turn_gravity,
 )
 from robot_sysid.estimate.choose import motors_of, neighbours
@@ -71,8 +72,7 @@ def random_values(arm, rng):
 def names_of_link(arm, link):
     """Return the ten names of a link's parameters."""
     is_last = link == arm.robot.n_joints - 1
-    name = arm.robot.links[link].body_name
-    return [n if is_last else f"{n}({name})" for n in PARAMETER_NAMES]
+    return PARAMETER_NAMES if is_last else link_names(arm.robot, link)
 
 
 def point_of(arm, values, gravity):
