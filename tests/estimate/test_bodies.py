@@ -137,7 +137,7 @@ def hard_problem(rng):
     Further parameters have units from 1e-6 to 1e6, half of all problems have directions that do not
     show, half of them a mass that is known to 1e-6, a quarter no noise, another little else.
     """
-    n_links = rng.choice((1, 1, 2, 2, 3, 8))
+    n_links = rng.choice((1, 1, 2, 2, 3, 3, 4, 8))
     size = 10 * n_links + rng.integers(0, 21)
     links = np.array([10 * k + BODY for k in range(n_links)])
     truth = rng.normal(size=size)

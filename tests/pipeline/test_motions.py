@@ -60,7 +60,7 @@ CHECKED = {
 def test_motions_that_are_played_saved_or_limited_are_checked():
     assert all(is_checked(settings_of(**case)) for case in CHECKED.values())
     assert not is_checked(settings_of(limits={"max_velocity": 0.3}))
-    motion_plan = plan_motion(arms.THREE, **CHECKED["designed"])
+    motion_plan = plan_motion(arms.THREE, **CHECKED["limited"])
     assert motion_plan.failure is None
     unchecked = plan_motion(arms.THREE)
     assert (unchecked.check, unchecked.problem, unchecked.failure) == (None, None, None)
