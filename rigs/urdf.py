@@ -1,18 +1,11 @@
 """Small URDF files for tests."""
 
-from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from pathlib import Path
-
-
-def link(name: str, content: str = "") -> str:
+def link(name, content=""):
     return f'<link name="{name}">{content}</link>'
 
 
-def inertial(
-    mass: float = 1.0, rpy: str = "0 0 0", inertia: str = "0.01 0.02 0.025"
-) -> str:
+def inertial(mass=1.0, rpy="0 0 0", inertia="0.01 0.02 0.025"):
     x, y, z = inertia.split()
     return (
         f'<inertial><origin xyz="0.1 0 0" rpy="{rpy}"/><mass value="{mass}"/>'
@@ -20,7 +13,7 @@ def inertial(
     )
 
 
-def joint(parent: str, child: str, kind: str = "revolute") -> str:
+def joint(parent, child, kind="revolute"):
     return (
         f'<joint name="{parent}_{child}" type="{kind}"><parent link="{parent}"/>'
         f'<child link="{child}"/><axis xyz="0 0 1"/><origin xyz="0 0 0.2" rpy="0.1 0 0"/>'
@@ -28,15 +21,15 @@ def joint(parent: str, child: str, kind: str = "revolute") -> str:
     )
 
 
-def mesh(shape: str, name: str) -> str:
+def mesh(shape, name):
     return f'<{shape}><geometry><mesh filename="{name}"/></geometry></{shape}>'
 
 
-def robot(*parts: str) -> str:
+def robot(*parts):
     return '<robot name="r">\n' + "\n".join(parts) + "\n</robot>\n"
 
 
-def serial(links: Mapping[str, str], fixed: Collection[str] = ()) -> str:
+def serial(links, fixed=()):
     """A base and links of this content, each on the one before it; some of them do not move."""
     names = ["base", *links]
     kinds = ["fixed" if name in fixed else "revolute" for name in links]
@@ -44,7 +37,7 @@ def serial(links: Mapping[str, str], fixed: Collection[str] = ()) -> str:
     return "\n".join([link("base"), *map(link, links, links.values()), *joints])
 
 
-def write_arm(folder: Path, links: Mapping[str, str], *parts: str) -> Path:
+def write_arm(folder, links, *parts):
     """The path of a file with a base and links of this content, each on the one before it."""
     path = folder / "arm.urdf"
     path.write_text(robot(serial(links), *parts))
