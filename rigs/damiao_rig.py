@@ -251,11 +251,17 @@ class FaultyArm(SimulatedArm):
     def _gather(self):
         super()._gather()
         motors = self.motors[: self.mechanism.n_joints]
-        encoders = [(m.encoder_error, m.frozen_encoder, m.felt_slip) for m in motors]
-        self._error, self._frozen, slip = np.transpose(encoders)
-        self._share, self._jam = np.transpose(
-            [(m.torque_share, m.jam_damping) for m in motors]
-        )
+        rows = [
+            (
+                m.torque_share,
+                m.jam_damping,
+                m.encoder_error,
+                m.frozen_encoder,
+                m.felt_slip,
+            )
+            for m in motors
+        ]
+        self._share, self._jam, self._error, self._frozen, slip = np.transpose(rows)
         self._offset = self._offset - np.where(self._limited, self._kd * slip, 0.0)
         is_frozen = self._limited & np.isfinite(self._frozen)
         self._kd = np.where(is_frozen, 0.0, self._kd)
@@ -489,9 +495,8 @@ class MotorBus:
     def open_session(self, limits=None):
         """Return a session of all motors."""
         joints = [motor.joint for motor in self.motors]
-        anywhere = Limits(-99.0, np.full(len(joints), 99.0), 99.0)
         scaling = protocol.Scaling(joint.spec.limits for joint in joints)
-        return MotorSession(self.link, joints, scaling, limits or anywhere)
+        return MotorSession(self.link, joints, scaling, limits or Limits())
 
 
 class MotorRun(MotorBus):
@@ -570,7 +575,6 @@ class Rig(MotorRun):
         for cause in faults:
             cause(self)
         self.states_before = self.states()
-        self._n_frames = []
 
     def mount(self, j, in_plan=True, **mounting):
         """Mount a motor in another way, and let the plan know it."""
@@ -581,27 +585,23 @@ class Rig(MotorRun):
             trajectory = replace(self.plan.trajectory, joints=tuple(joints))
             self.plan = replace(self.plan, trajectory=trajectory)
 
-    def note_phase(self, sentence):
-        self._n_frames.append(len(self.wire.frames))
-        super().note_phase(sentence)
+    def span(self, phase):
+        """Return from when to when a phase went on [s]; both are infinite where it never began."""
+        names = [sentence[: len(phase)] for _, sentence in self.phases]
+        times = [time for time, _ in self.phases] + [np.inf, np.inf]
+        number = [*names, phase].index(phase)
+        return times[number], times[number + 1]
 
     def has_begun(self, phase):
         """Whether a phase whose name begins so has begun."""
-        return any(sentence.startswith(phase) for _, sentence in self.phases)
+        return self.span(phase)[0] < np.inf
 
     @property
     def play_frames(self):
         """What arrived while the trajectory itself was played."""
-        for (_, sentence), *between in zip(
-            self.phases, self._n_frames, [*self._n_frames[1:], None]
-        ):
-            if sentence.startswith("playing"):
-                return [
-                    frame
-                    for frame, sent in self.wire.frames[slice(*between)]
-                    if not sent
-                ]
-        return []
+        begin, end = self.span("playing")
+        received = [frame for frame, sent in self.wire.frames if not sent]
+        return [frame for frame in received if begin < frame.time <= end]
 
     @property
     def recording(self):

@@ -38,8 +38,8 @@ from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Motion
 from robot_sysid.simulation.plant import ArmStepper
+from robot_sysid.trajectory import SineTrajectory
 
 PHYSICS_STEP = 1e-3
 DURATION = 5.0
@@ -115,27 +115,26 @@ def loaded_joint(setup):
     return int(np.argmax(np.abs(resting_torque(robot, pose, robot.thetas))))
 
 
-def multi_sine(pose, seed, duration, stands=False):
+def multi_sine(pose, duration, stands=False):
     """Return a smooth motion from rest to rest around a pose, or one that stands there."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(3)
+    share, turn = random.uniform(size=(2, 2, len(pose))).transpose(1, 2, 0)
+    frequency = np.array([0.25, 0.45]) * (0.9 + 0.2 * share)
+    shape = pose, np.ones_like(turn), frequency, 2.0 * np.pi * turn
+    waves = SineTrajectory(*shape, duration, fade=min(1.25, 0.5 * duration))
     time = np.arange(round(duration * FILE_RATE) + 1) / FILE_RATE
-    share, turn = np.moveaxis(random.uniform(size=(2, 2, 1, len(pose))), 1, 0)
-    omega = 2.0 * np.pi * np.array([0.25, 0.45])[:, None, None] * (0.9 + 0.2 * share)
-    sines = np.sin(omega * time[:, None] + 2.0 * np.pi * turn).sum(axis=0)
-    fade = np.clip(np.minimum(time, duration - time), 0.0, 1.0)[:, None]
-    q = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2) * sines
-    speed = np.abs(np.gradient(q, time, axis=0)).max(axis=0)
-    amplitude = random.uniform(0.3, 0.6, len(pose))
-    q *= 0.0 if stands else np.minimum(amplitude / np.abs(q).max(axis=0), 1.0 / speed)
-    qd = np.gradient(q, time, axis=0)
-    return Motion(time, pose + q, qd, np.gradient(qd, time, axis=0))
+    motion = waves.evaluate(time)
+    amplitude = random.uniform(0.3, 0.6, len(pose)) * (not stands)
+    speed = np.abs(motion.qd).max(axis=0)
+    size = np.minimum(amplitude / np.abs(motion.q - pose).max(axis=0), 1.0 / speed)
+    return waves.scale_amplitudes(size).evaluate(time)
 
 
 @cache
 def plan_of(setup):
     """Return the plan of a set-up, with the inertias of the model if there is one."""
     robot = robot_of(setup.belief)
-    motion = multi_sine(loaded_poses()[setup.pose], 3, setup.duration, setup.stands)
+    motion = multi_sine(loaded_poses()[setup.pose], setup.duration, setup.stands)
     tau = np.asarray(ArmDynamics(robot)(motion))
     names = robot.joint_names if setup.model_is_given else ()
     signals = motion.time, motion.q, motion.qd, tau

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs import arms
-from rigs.damiao_rig import swing, trajectory_of
+from rigs.damiao_rig import rest_to_rest, swing, trajectory_of
 from robot_sysid.damiao.model_check import model_checks, torque_checks, transfer_checks
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
@@ -98,8 +98,7 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     """Four printed decimals of a position are left to it: 1e-4 rad between two rows."""
     time, q, qd, tau = swing(3, duration=0.5, rate=rate, amplitude=2.0)
     steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
-    free = np.full(3, np.inf)
-    robot = replace(arm, limits=Limits(-free, free, steepest / share, torque=free))
+    robot = replace(arm, limits=Limits(velocity=steepest / share))
     excesses = limit_findings(check_trajectory((time, q, 0 * qd, tau), speed, robot))
     assert excesses == (
         {(joint, "velocity") for joint in JOINTS} if share > 1.0 else set()
@@ -159,8 +158,7 @@ WALL = arms.world(
 
 def turn(angle):
     """From zero to an angle and back, one hinge; velocities are stated as zero."""
-    time = np.linspace(0.0, 1.0, 51)
-    q = 0.5 * angle * (1.0 - np.cos(2 * np.pi * time))[:, None]
+    time, q, *_ = rest_to_rest(np.array([angle]), 1, 1.0, 50.0)
     return time, q, 0 * q, 0 * q
 
 

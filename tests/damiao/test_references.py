@@ -71,7 +71,7 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(
 def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     """A torque that never goes away, as of a joint that lies on its stop, does not lead it on."""
     begin = Reference(np.array([0.4, 0.0]), np.zeros(2), np.array([3.0, 0.0]))
-    command_range = Limits(np.full(2, -0.1), np.full(2, 1.0), np.full(2, 9.0))
+    command_range = Limits(-0.1, 1.0, 9.0)
     lowering = Lowering(begin, 0.2, np.full(2, 27.0), command_range)
     lowering.follow(np.zeros(2), np.zeros(2), np.array([9.0, 0.0]))
     moments = np.arange(0.0, 8.0, 0.004)
@@ -82,7 +82,6 @@ def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     assert lowering.is_done and references[-1].velocity[0] == 0.0
 
 
-FAR = Limits(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
 ZERO = (0.0, 0.0)
 KP = 180.0
 KD = 4.5
@@ -95,18 +94,12 @@ def stop_settings(n):
 
 
 def stop(
-    position=ZERO,
-    velocity=ZERO,
-    torque=ZERO,
-    q=ZERO,
-    qd=ZERO,
-    stuck=(False, False),
-    limits=FAR,
+    position=ZERO, velocity=ZERO, torque=ZERO, q=ZERO, qd=ZERO, stuck=(False, False)
 ):
     """A stop of two joints."""
     reference = Reference(*np.array([position, velocity, torque]))
     state = np.array(q), np.array(qd), reference.torque, np.array(stuck)
-    return CarriedStop(stop_settings(2), reference, *state, limits)
+    return CarriedStop(stop_settings(2), reference, *state, Limits())
 
 
 STOP_ANGLES = st.tuples(*[st.floats(-2.0, 2.0)] * 2)
@@ -201,12 +194,10 @@ def test_no_energy_goes_into_a_joint_that_was_thrown(cycles_late):
 def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
     """Return the mechanical energy (cycles, n) of n joints that are thrown as a stop begins."""
     n = len(spring)
-    far = np.full(n, 9.0)
     zero = np.zeros(n)
-    path = CarriedStop(
-        *(stop_settings(n), Reference(zero, zero, zero), zero, zero, zero),
-        *(zero != 0.0, Limits(-far, far, far)),
-    )
+    at_rest = Reference(zero, zero, zero)
+    state = zero, zero, zero, zero != 0.0
+    path = CarriedStop(stop_settings(n), at_rest, *state, Limits())
     q = zero
     qd = np.full(n, 0.5)
     link_q = zero

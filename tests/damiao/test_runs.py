@@ -45,6 +45,8 @@ from robot_sysid.damiao.settings import Permissions
 from robot_sysid.errors import HardwareAbort
 
 USUAL = {"rate": 250.0}
+SECOND = np.array([0.0, 1.0])
+"""Share of each joint in what only the second one has."""
 
 
 # --- runs that end well -------------------------------------------------------------------------
@@ -171,14 +173,11 @@ def slow_adapter(least, most):
     return cause
 
 
-def changed_swing(change):
-    time, q, qd, tau = (x.copy() for x in swing(2, duration=1.0))
-    change(q, qd, tau)
-    return time, q, qd, tau
-
-
-def reverse_velocity(q, qd, tau):
-    qd[:, 1] *= -1.0
+def changed_swing(q=1.0, qd=1.0, tau=1.0, push=0.0):
+    """A swing of two joints with its signals times these, and a constant torque [N m]."""
+    time, *signals = swing(2, duration=1.0)
+    position, velocity, torque = signals
+    return time, q * position, qd * velocity, tau * torque + push
 
 
 def extra(*joint):
@@ -214,7 +213,7 @@ def extra(*joint):
         ({"max_temperature": 30.0}, "is at 31 deg C, above 30"),
         ({"faults": [lambda run: run.stop("asked before")]}, "asked before"),
         ({"rate": 3000.0}, "use --rate 250"),
-        ({"motion": changed_swing(reverse_velocity)}, "of motor 2 change by"),
+        ({"motion": changed_swing(qd=1.0 - 2.0 * SECOND)}, "of motor 2 change by"),
     ],
 )
 def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(rig, options, message):
@@ -223,16 +222,11 @@ def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(rig, options, me
     run.assert_never_moved()
 
 
-def feed_near_peak(q, qd, tau):
-    """Constant feed-forward torque just below what the motor can do, on a joint that stands."""
-    q[:, 0] = qd[:, 0] = 0.0
-    tau[:, 0] = 26.9
-
-
 @pytest.mark.parametrize(
     ("motion", "options", "message"),
     [
-        (changed_swing(feed_near_peak), {}, "motor 1 is"),
+        # Just below what the first motor can do, while its joint stands.
+        (changed_swing(*[SECOND] * 3, 26.9 * (1.0 - SECOND)), {}, "motor 1 is"),
         (
             lifted_swing(0.8, duration=1.0),
             {"faults": [fault(1, torque_factor=5 / 3)], "start": [0.8, 0.8]},
@@ -247,10 +241,6 @@ def test_what_cannot_be_known_before_is_stopped_before_it_plays(
     assert message in str(run.error) and run.states() == [DISABLED] * 2
     assert not run.has_begun("playing")
     assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
-
-
-def negate_torque(q, qd, tau):
-    tau[:, 1] *= -1.0
 
 
 def farthest_from(angle, run):
@@ -268,25 +258,29 @@ def mirror_joint(run):
 
 
 @pytest.mark.parametrize(
-    ("change", "faults", "message"),
+    ("share", "faults", "message"),
     [
-        (negate_torque, (), "while it should stand still: a motor turns the other way"),
-        (lambda q, qd, tau: tau.fill(0.0), (), "its torque lacks gravity"),
         (
-            lambda q, qd, tau: None,
+            1.0 - 2.0 * SECOND,
+            (),
+            "while it should stand still: a motor turns the other way",
+        ),
+        (0.0, (), "its torque lacks gravity"),
+        (
+            1.0,
             [mirror_joint],
             "while it should stand still: a motor turns the other way",
         ),
     ],
 )
 def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
-    rig, change, faults, message, monkeypatch
+    rig, share, faults, message, monkeypatch
 ):
     monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
-    motion = lifted_swing(0.8, duration=1.0)
-    change(*motion[1:])
+    *motion, tau = lifted_swing(0.8, duration=1.0)
     options = {"start": [0.8, 0.8], "ramp_time": 0.3, **USUAL}
-    run = rig(motion=motion, faults=faults, **options).run(settle=0.0)
+    run = rig(motion=(*motion, share * tau), faults=faults, **options)
+    run.run(settle=0.0)
     assert message in str(run.error), run.error
     assert not run.has_begun("moving")
     assert farthest_from(0.8, run) < 0.12

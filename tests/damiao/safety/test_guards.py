@@ -293,7 +293,7 @@ def test_what_is_asked_too_much_is_named(requested, message):
 def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     """In a stop a command beyond the frames' scale would be an error, and nothing be sent."""
     bus = MotorBus(JOINTS)
-    session = bus.open_session(Limits(-99.0, np.full(2, 99.0), 5e3))
+    session = bus.open_session()
     session.enable()
     n_sent = len(bus.wire.sent)
     bus.clock.stall(0.1)
