@@ -74,8 +74,6 @@ def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command)
     )
     scaled = command.run("log wrong.csv arm.xml --torque-scale 1000")
     assert "nothing that stops an identification was found" in scaled.out
-    right = command.run("log log.csv arm.xml")
-    assert "nothing that stops an identification was found" in right.out
 
 
 def test_degrees_end_with_the_commands_that_declare_the_unit(command):

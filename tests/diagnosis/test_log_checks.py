@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
 from rigs import arms
-from rigs.log_files import JOINTS, arm_of, read_measurements
-from rigs.places import DATA as real_logs
+from rigs.log_files import JOINTS, arm_of
 from rigs.places import MODELS as public_models
 from rigs.wrong_arms import ARMS, DEVIATIONS, draw_arm, truth_of
 from robot_sysid.diagnosis import Finding
@@ -31,7 +30,6 @@ from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording
 from robot_sysid.records.messages import Level
-from robot_sysid.signals.resampling import split_at_gaps
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import (
     FOUR_AXES,
@@ -229,25 +227,6 @@ def test_correct_logs_of_public_arms_draw_no_alarm(
     robot = load_robot_model(public_models / ARMS[arm_name])
     log = draw_arm(robot, deviations, False, duration, seed % 2 == 0, seed).log
     assert findings_of(robot, log) == ()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not real_logs.exists(), reason="the logs of real arms are not here")
-@pytest.mark.parametrize(
-    ("model", "log"),
-    [
-        *(
-            ("kuka_lwr4/kuka_lwr4.urdf", f"kuka_lwr4/lwr4_hw{run}_200Hz.csv")
-            for run in (1, 2, 3)
-        ),
-        ("tx40/tx40.urdf", "tx40/tx40_500Hz.csv"),
-    ],
-)
-def test_logs_of_real_arms_draw_no_alarm(model, log):
-    robot = load_robot_model(real_logs / model)
-    pieces = split_at_gaps(read_measurements(real_logs / log, robot.joint_names))
-    levels = {finding.level for finding in findings_of(robot, *pieces)}
-    assert levels <= {Level.SAYS}
 
 
 # ---- findings that stop an identification
