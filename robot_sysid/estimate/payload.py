@@ -108,13 +108,7 @@ def payload_result(
             file_notes = [
                 f"the written model is the arm's own with the payload on it: {judgement.text}"
             ]
-    # Judged is the payload before bodies were made possible: that step hides a negative mass.
-    free = _in_flange(weighed, flange, weighed.free)
-    reason = contradiction(weighed, flange)
-    robot = fitted.arm.robot
-    remarks = list(judge_payload(robot, free, reason, validation(weighed)))
-    if known_mass is not None:
-        remarks = list(judge_known_mass(remarks, free.mass, known_mass))
+    remarks = _refusals(weighed, flange, known_mass)
     values = fitted.free.copy()
     unknown_inertia = ""
     if not remarks:
@@ -123,7 +117,8 @@ def payload_result(
         values[fitted.at(PAYLOAD_NAMES)] = theta
     both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
     body = _in_flange(fitted, flange, values)
-    total = body_estimate(fitted, f"{robot.body_name} with payload", both, values)
+    name = f"{fitted.arm.robot.body_name} with payload"
+    total = body_estimate(fitted, name, both, values)
     notes = [*sentences]
     if unknown_inertia:
         body, total = map(_without_inertia, (body, total))
@@ -137,11 +132,7 @@ def payload_result(
     if known_mass is not None:
         rows += _torque_scales(fitted, divided)
     rows += fit_quantities(fitted, links)
-    kinds = _kinds(fitted)
-    recordings = {
-        "empty": tuple(name for name in kinds if not kinds[name]),
-        "loaded": tuple(name for name in kinds if kinds[name]),
-    }
+    of_flange = Payload(**vars(body), flange=flange, recordings=_recordings(fitted))
     return result_of(
         fitted,
         file,
@@ -152,15 +143,27 @@ def payload_result(
         question=PAYLOAD,
         data=origin,
         standard_errors=dict(zip(PARAMETER_NAMES, body.errors.tolist())),
-        payload=Payload(
-            **vars(body), flange=flange, recordings=recordings, known_mass=known_mass
-        ),
+        payload=replace(of_flange, known_mass=known_mass),
         total=total,
         file=written,
         validation=(validation(fitted),),
         checkpoints=fitted.recordings[-1].motion,
         traces=partial(traces_of, fitted),
     )
+
+
+def _refusals(weighed: Fit, flange: Flange, known_mass: float | None) -> list[Remark]:
+    """Return reasons against a payload, or against torque scales from its known mass [kg].
+
+    Judged is the payload before bodies were made possible: that step hides a negative mass.
+    """
+    free = _in_flange(weighed, flange, weighed.free)
+    reason = contradiction(weighed, flange)
+    test = validation(weighed)
+    remarks = [*judge_payload(weighed.arm.robot, free, reason, test)]
+    if known_mass is None:
+        return remarks
+    return [*judge_known_mass(remarks, free.mass, known_mass)]
 
 
 def _torque_scales(fitted: Fit, divided: Array) -> Iterator[Quantity]:
@@ -192,10 +195,13 @@ def _without_inertia(body: BodyEstimate) -> BodyEstimate:
     )
 
 
-def _kinds(fitted: Fit) -> dict[str, bool]:
-    """Return each log to whether the arm carries the payload in it, empty ones first."""
+def _recordings(fitted: Fit) -> dict[str, tuple[str, ...]]:
+    """Return "empty" and "loaded" to the names of the logs without and with the payload."""
     kinds = {log.name: log.is_loaded for log in fitted.recordings}
-    return dict(sorted(kinds.items(), key=lambda pair: pair[1]))
+    return {
+        "empty": tuple(name for name in kinds if not kinds[name]),
+        "loaded": tuple(name for name in kinds if kinds[name]),
+    }
 
 
 def contradiction(fitted: Fit, flange: Flange) -> str:
@@ -204,7 +210,7 @@ def contradiction(fitted: Fit, flange: Flange) -> str:
     Each recording that is not the only one of its kind is offered a body of its own beside the
     payload: the gain in the log marginal likelihood says whether it has one.
     """
-    kinds = _kinds(fitted)
+    kinds = {log.name: log.is_loaded for log in fitted.recordings}
     mass = abs(fitted.by_name[PAYLOAD_NAMES[0]])
     # Differences in mass, and of 1 cm in its centre, below which recordings agree.
     least = 0.03 * mass

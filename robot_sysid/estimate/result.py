@@ -247,13 +247,13 @@ def body_estimate(
     name: str,
     combinations: Array,
     values: Array,
-    model_theta: Array | None = None,
+    prior: InertialParameters | None = None,
 ) -> BodyEstimate:
     """Return a body whose parameters are combinations (10, k) of the estimated ones.
 
     Args:
         values: (k,) of the estimated ones.
-        model_theta: (10,) in the model; None where the model lacks the body.
+        prior: parameters in the model; None where the model lacks the body.
     """
     weight = np.abs(combinations)
     share = weight @ fitted.share() / np.maximum(np.sum(weight, axis=1), 1e-300)
@@ -265,7 +265,7 @@ def body_estimate(
         is_determined=np.max(hidden, axis=1, initial=0.0) < 1e-9,
         budget=fitted.budget(combinations),
         data_share=np.clip(share, 0.0, 1.0),
-        prior=None if model_theta is None else InertialParameters(model_theta),
+        prior=prior,
     )
 
 
@@ -293,7 +293,7 @@ def link_estimates(fitted: Fit, file: Fit | None) -> list[BodyEstimate]:
             links[index].body_name,
             select(fitted, names),
             values,
-            links[index].theta,
+            InertialParameters(links[index].theta),
         )
         for index, names in fitted.arm.links.items()
         if names[0] in fitted.names
@@ -302,32 +302,32 @@ def link_estimates(fitted: Fit, file: Fit | None) -> list[BodyEstimate]:
 
 def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
     """Yield the parameters of terms, with the model's values where the arm has them."""
-    pairs = [(term, parameter) for term in terms for parameter in term.parameters]
     causes = fitted.budget(np.eye(len(fitted.names)))
     shares = fitted.share()
-    for term, parameter in pairs:
-        key = parameter.key
-        index = fitted.names.index(key)
-        value, error = quantity(fitted, key)
-        reason = max(causes, key=lambda cause: causes[cause][index])
-        source = DATA if shares[index] >= PRIOR_SHARE else MODEL
-        if math.isnan(error):
-            source = BOUND
-            reason = "it would cross its bound"
-        elif math.isinf(error):
-            reason = NOT_SHOWN
+    for term in terms:
         # A joint's friction beyond its terms, which errors allow for, is none of these terms.
         further = "further_" if term.cause == FURTHER_FRICTION else ""
-        yield Quantity(
-            name=f"{further}{parameter.name}",
-            of=parameter.of or "arm",
-            unit=parameter.unit,
-            model=fitted.arm.model.get(key),
-            value=value,
-            error=error,
-            source=source,
-            reason=reason,
-        )
+        for parameter in term.parameters:
+            key = parameter.key
+            index = fitted.names.index(key)
+            value, error = quantity(fitted, key)
+            reason = max(causes, key=lambda cause: causes[cause][index])
+            source = DATA if shares[index] >= PRIOR_SHARE else MODEL
+            if math.isnan(error):
+                source = BOUND
+                reason = "it would cross its bound"
+            elif math.isinf(error):
+                reason = NOT_SHOWN
+            yield Quantity(
+                f"{further}{parameter.name}",
+                parameter.of or "arm",
+                parameter.unit,
+                fitted.arm.model.get(key),
+                value,
+                error,
+                source,
+                reason,
+            )
 
 
 def quantity(fitted: Fit, name: str) -> tuple[float, float]:
@@ -417,8 +417,8 @@ def file_quantities(fitted: Fit, file: Fit) -> Iterator[Quantity]:
             # Without an estimate of its own, the joint has the rotor of a motor that it shares.
             is_estimated = name in fitted.names
             error = quantity(fitted, name)[1] if is_estimated else math.nan
-            about = ROTOR.name, owner, rotor_parameter.unit
-            yield Quantity(*about, model_rotor, rotor, error, FILE)
+            unit = rotor_parameter.unit
+            yield Quantity(ROTOR.name, owner, unit, model_rotor, rotor, error, FILE)
 
 
 def _friction_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
