@@ -103,9 +103,8 @@ def save(
         if failure is None and not is_calibration:
             # Drafted first, the model appears last: what the other files say then holds for it.
             assert result.checkpoints is not None
-            rmse = result.quality.rmse
             mesh_dir = config.model.mesh_dir
-            target = ModelTarget(files, folder, result.checkpoints, rmse, mesh_dir)
+            target = ModelTarget(files, folder, result.checkpoints, mesh_dir)
             try:
                 written, notes = _write_models(result, target, options.as_body)
             except ExportError as error:

@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 7048,
     "robot_sysid/records": 10384,
     "robot_sysid/report": 4902,
-    "robot_sysid/results": 10327,
-    "robot_sysid/servo": 4811,
+    "robot_sysid/results": 10324,
+    "robot_sysid/servo": 4809,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10749,
-    "tests": 211139,
+    "robot_sysid": 10740,
+    "tests": 211137,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -378,12 +378,10 @@ class ModelTarget:
         files: receives the draft.
         path: final path of the file, or folder of several.
         checkpoints: motion on which the written model must reproduce the predicted torque.
-        rmse: residual of the identification [N m], for comments in the file.
         mesh_dir: the user's mesh folder; None where the model's own paths hold.
     """
 
     files: AtomicFiles
     path: Path
     checkpoints: Motion
-    rmse: float
     mesh_dir: Path | None = None

@@ -108,7 +108,7 @@ def write_model(
         elements += _tendon_changes(robot, result)
     bodies += new_bodies
     gravity = file.gravity if file else None
-    change = ModelChange(bodies, target.rmse, tuple(elements), gravity)
+    change = ModelChange(bodies, result.quality.rmse, tuple(elements), gravity)
     _write(robot, change, target, written_thetas)
     return notes
 
@@ -136,7 +136,7 @@ def _arm_of_kind(
 def write_joints(
     robot: RobotModel, elements: tuple[ElementChange, ...], target: ModelTarget
 ) -> None:
-    """Write an MJCF with new numbers for the joints and servos of a model.
+    """Write an MJCF with new numbers for the joints and servos of a model, found without torques.
 
     Args:
         robot: the arm as in the original model, whose links stay as they are.
@@ -148,7 +148,8 @@ def write_joints(
             takes other torques; the draft is withdrawn.
     """
     robot, target = _arm_of_kind(robot, "mjcf", target)
-    _write(robot, ModelChange((), target.rmse, elements), target, robot.thetas)
+    # No torque was measured, so there is no residual to state.
+    _write(robot, ModelChange((), 0.0, elements), target, robot.thetas)
 
 
 def _numbers_of(result: Identification, owner: str) -> dict[str, float]:

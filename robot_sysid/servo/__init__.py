@@ -225,8 +225,7 @@ def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> 
             if failure is None:
                 # A URDF holds neither the rotor inertia nor the gains that were judged.
                 path = folder / file_access.MODEL_NAMES["mjcf"]
-                # No torque was measured, so there is no residual to state.
-                target = ModelTarget(files, path, poses, 0.0, config.model.mesh_dir)
+                target = ModelTarget(files, path, poses, config.model.mesh_dir)
                 write_joints(robot, tuple(result.changes()), target)
                 written.append(path)
         except ExportError as error:

@@ -86,7 +86,7 @@ def write_and_compile(robot, result, folder=None, as_body=None, file_kind=None):
     """Write the model of a result, by default into the folder ``out`` beside the original."""
     path = (folder or robot.path.parent / "out") / f"updated{robot.path.suffix}"
     with atomic_files() as files:
-        target = ModelTarget(files, path, checkpoints(robot), 1.23e-4)
+        target = ModelTarget(files, path, checkpoints(robot))
         kind = file_kind or result.model_kind
         notes = write_model(result, target, as_body, kind)
     return WrittenModel(path, compile_model(path).mj_model, notes)
