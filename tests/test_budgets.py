@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 7048,
     "robot_sysid/records": 10384,
     "robot_sysid/report": 4902,
-    "robot_sysid/results": 10324,
+    "robot_sysid/results": 10307,
     "robot_sysid/servo": 4809,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,

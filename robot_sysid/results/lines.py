@@ -168,7 +168,7 @@ def _validation_lines(content: Content) -> Iterator[str]:
     file = content["file"]
     if file is not None:
         for test in file["others"]:
-            shares = before_after_text(test["before"], test["after"])
+            shares = before_after_text(test)
             yield f"Torque error of the model on {test['before']['source']}: {shares}"
         sources = [test["before"]["source"] for test in file["others"]]
         tests = [test for test in tests[1:] if test["source"] not in sources]
@@ -200,12 +200,12 @@ def verdict_line(content: Content) -> str:
     return f"{use}: {'; '.join(_improvements(content))}"
 
 
-def before_after_text(before: Content, after: Content) -> str:
-    """Return the relative errors of two models as text, such as "27 % -> 0.3 %".
+def before_after_text(tests: Content) -> str:
+    """Return the relative errors "before" and "after" as text, such as "27 % -> 0.3 %".
 
     An error that is not known is left out, "not known" stands for both.
     """
-    errors = [test["relative_error"] for test in (before, after)]
+    errors = [tests[model]["relative_error"] for model in ("before", "after")]
     texts = [percent(error) for error in errors if error is not None]
     return " -> ".join(texts) or "not known"
 
@@ -217,7 +217,7 @@ def _improvements(content: Content) -> Iterator[str]:
     if file:
         # A payload is part of both models: the change is that of links and friction.
         load = " with the payload" if payload else ""
-        shares = before_after_text(file["before"], file["after"])
+        shares = before_after_text(file)
         yield f"torque error{load} on held-out data, torque offsets aside, {shares}"
     if payload and payload["known_mass"]:
         yield "torque scales follow from the known mass"
