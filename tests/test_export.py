@@ -106,12 +106,14 @@ def test_an_mjcf_stands_beside_a_urdf_whose_meshes_mujoco_does_not_read(tmp_path
 
 def test_a_payload_has_a_card_beside_the_model(robot, out):
     result = result_of(robot, payload=payload_of(robot, THETA))
-    output = save_result(result, out, as_body="load")
+    output = save_result(result, out, as_body="load", cards="ur")
     assert names_in(out) == ["params.json", "payload_card.txt", "updated_model.xml"]
     model = load_robot_model(out / "updated_model.xml", joint="j2").mj_model
     assert model.body("load").mass == approx(2.0, rel=1e-12)
     card = (out / "payload_card.txt").read_text()
-    assert card.startswith("Payload of 2 kg, identified with m.xml from 1 empty and 2")
+    assert "Universal Robots" in card and card.startswith(
+        "Payload of 2 kg, identified with m.xml from 1 empty and 2"
+    )
     assert json.loads((out / "params.json").read_text())["payload"]["card"]["kg"]
     assert output.failure is None
 
@@ -127,10 +129,8 @@ def test_a_result_that_is_not_trusted_gets_a_params_json_alone(
     robot, out, with_payload
 ):
     payload = payload_of(robot, THETA) if with_payload else None
-    doubtful = result_of(
-        robot, payload=payload, remarks=(Verdict.TOO_WEAK.remark("so light"),)
-    )
-    output = save_result(doubtful, out)
+    remarks = (Verdict.TOO_WEAK.remark("so light"),)
+    output = save_result(result_of(robot, payload=payload, remarks=remarks), out)
     assert names_in(out) == ["params.json"]
     omission = "no model and no card were" if with_payload else "no model was"
     assert output.failure.startswith(
@@ -211,10 +211,9 @@ def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out, monkeypatc
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "number_groups", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            save_result(result_of(robot, payload=payload_of(robot, THETA)), out)
+    monkeypatch.setattr(module, "number_groups", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        save_result(result_of(robot, payload=payload_of(robot, THETA)), out)
     assert files_in(out) == old_files
 
 
