@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from rigs.recorded import (
     START_NS,
     STATE,
     joint_state,
-    typestore,
+    later_of_types,
     write_bag,
     write_data_set,
 )
@@ -50,12 +51,26 @@ def motion_of(path: str, rate: float = 250.0, load: float = 0.0) -> Recording:
     return truth_of(model_of(path), 3, rate=rate, load=load).log
 
 
-def states(types: Any, data: Recording, names: Sequence[str], order: Any = None):
-    """Yield JointState messages of an arm's joints, in the order of these indices."""
-    order = list(range(len(names)) if order is None else order)
-    listed = [names[k] for k in order]
+@later_of_types
+def states(
+    types: Any,
+    data: Recording,
+    names: Sequence[str],
+    order: Any = ...,
+    n_speeds: Any = None,
+):
+    """Yield JointState messages of an arm's joints, in the order of these indices.
+
+    ``n_speeds`` is the number of velocities that are listed; None for all.
+    """
+    listed = np.array(names)[order]
     for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
-        yield time, joint_state(types, time, listed, q[order], qd[order], tau[order])
+        yield (
+            time,
+            joint_state(
+                types, time, listed, q[order], qd[order][:n_speeds], tau[order]
+            ),
+        )
 
 
 def with_extra_joints(data: Recording, count: int, position: float) -> Recording:
@@ -81,22 +96,18 @@ def franka(
     the fingers; joint_state_publisher puts both together in /joint_states, at 30 Hz, or at a rate
     that is set where it is the only one.
     """
-    store = typestore(storage)
-    types = store.types
     data = motion_of(model, rate=1000.0)
     joints = _numbered(f"{arm}_joint")
     fingers = _numbered(f"{arm}_finger_joint", 2)
     slow = data[::33] if len(topic_names) > 1 else motion_of(model)
     both = with_extra_joints(slow, 2, 0.035)
     contents = {
-        "/franka/joint_states": states(types, data, joints),
-        "/franka_gripper/joint_states": states(
-            types, both, [*joints, *fingers], [7, 8]
-        ),
-        "/joint_states": states(types, both, [*joints, *fingers]),
+        "/franka/joint_states": states(data, joints),
+        "/franka_gripper/joint_states": states(both, joints + fingers, [7, 8]),
+        "/joint_states": states(both, joints + fingers),
     }
     topics = [(name, STATE, contents[name]) for name in topic_names]
-    return write_bag(folder / "franka", topics, store, storage)
+    return write_bag(folder / "franka", topics, storage)
 
 
 UR_JOINTS = (
@@ -125,16 +136,14 @@ def universal_robots(
 
     joint_state_broadcaster publishes /dynamic_joint_states beside /joint_states.
     """
-    store = typestore(storage)
-    types = store.types
     data = motion_of(UR5E, 500.0, load)
     data = in_amperes(data) if is_current else data
     order = np.argsort(UR_JOINTS)
-    topics = [("/joint_states", STATE, states(types, data, UR_JOINTS, order))]
+    topics = [("/joint_states", STATE, states(data, UR_JOINTS, order))]
     if storage != "ROS1":
-        dynamic = recorded.dynamic_states(types, data, UR_JOINTS, [[0, 1, 2]] * 6)
+        dynamic = recorded.dynamic_states(data, UR_JOINTS, [[0, 1, 2]] * 6)
         topics.append(("/dynamic_joint_states", recorded.DYNAMIC, dynamic))
-    return write_bag(folder / "ur", topics, store, storage)
+    return write_bag(folder / "ur", topics, storage)
 
 
 def rtde(folder: Path, torque: str, load: float = 0.0) -> Path:
@@ -151,10 +160,16 @@ def xarm(folder: Path, storage: str) -> Path:
     """A bag of xarm_api with the gripper: 100 Hz ("dev" reports), and twice a second a message
     of the gripper's six joints with neither velocity nor effort.
     """
-    store = typestore(storage)
-    types = store.types
-    data = motion_of(XARM, rate=100.0)
-    arm = list(states(types, data, _numbered("joint")))
+    messages = xarm_states(motion_of(XARM, rate=100.0))
+    return write_bag(
+        folder / "xarm", [("/xarm/joint_states", STATE, messages)], storage
+    )
+
+
+@later_of_types
+def xarm_states(types: Any, data: Recording):
+    """Return JointState messages of the arm, and those of the gripper between them."""
+    arm = states(data, _numbered("joint"))(types)
     names = ["drive_joint", "left_finger_joint", "left_inner_knuckle_joint"]
     names += ["right_outer_knuckle_joint", "right_finger_joint"]
     names += ["right_inner_knuckle_joint"]
@@ -163,9 +178,7 @@ def xarm(folder: Path, storage: str) -> Path:
     for time in data.time[::50] + 0.003:
         state = joint_state(types, time, names, np.zeros(6), unknown, unknown)
         gripper.append((time, state))
-    messages = sorted([*arm, *gripper], key=lambda stamped: stamped[0])
-    topics = [("/xarm/joint_states", STATE, messages)]
-    return write_bag(folder / "xarm", topics, store, storage)
+    return sorted([*arm, *gripper], key=itemgetter(0))
 
 
 IIWA = "kuka_iiwa_14/iiwa14.xml"
@@ -173,17 +186,16 @@ IIWA = "kuka_iiwa_14/iiwa14.xml"
 
 def lbr(folder: Path, storage: str, topic_names: Sequence[str]) -> Path:
     """A bag of lbr_fri_ros2_stack: 100 Hz, joints lbr_A1 .. lbr_A7; LBRState has no names."""
-    store = typestore(storage)
-    types = store.types
     data = motion_of(IIWA, rate=100.0)
     contents = {
-        "/lbr/joint_states": (STATE, states(types, data, _numbered("lbr_A"))),
-        "/lbr/state": (LBR, lbr_states(types, data)),
+        "/lbr/joint_states": (STATE, states(data, _numbered("lbr_A"))),
+        "/lbr/state": (LBR, lbr_states(data)),
     }
     topics = [(name, *contents[name]) for name in topic_names]
-    return write_bag(folder / "lbr", topics, store, storage)
+    return write_bag(folder / "lbr", topics, storage)
 
 
+@later_of_types
 def lbr_states(types: Any, data: Recording):
     """Yield LBRState messages, whose time is that of the controller."""
     zeros = np.zeros(7)
@@ -204,22 +216,18 @@ def kortex(folder: Path, topic_names: Sequence[str]) -> Path:
     The driver publishes 100 Hz at most by default, joint_1 .. joint_7 and the finger, whose effort
     is zero; base_feedback has no header and degrees from 0 to 360.
     """
-    store = typestore("ROS1")
-    types = store.types
     data = motion_of(GEN3, rate=100.0)
     wrapped = replace(data, q=(data.q + np.pi) % (2.0 * np.pi) - np.pi)
     both = with_extra_joints(wrapped, 1, 0.4)
     contents = {
-        "joint_states": (
-            STATE,
-            states(types, both, [*_numbered("joint_"), "finger_joint"]),
-        ),
-        "base_feedback": (KORTEX, kortex_feedback(types, data)),
+        "joint_states": (STATE, states(both, [*_numbered("joint_"), "finger_joint"])),
+        "base_feedback": (KORTEX, kortex_feedback(data)),
     }
     topics = [(f"/my_gen3/{name}", *contents[name]) for name in topic_names]
-    return write_bag(folder / "kortex", topics, store, "ROS1")
+    return write_bag(folder / "kortex", topics, "ROS1")
 
 
+@later_of_types
 def kortex_feedback(types: Any, data: Recording):
     """Yield BaseCyclic_Feedback messages, in degrees, N m and amperes."""
     actuator = types["kortex_driver/msg/ActuatorFeedback"]
@@ -273,36 +281,29 @@ def piper(folder: Path) -> Path:
     Velocity has six entries, position and effort seven. Angles are thousandths of a degree times
     0.017444, efforts are N m. The node publishes commands as a JointState with zeros for effort.
     """
-    store = typestore("MCAP")
     data = six_joint_motion(200.0)
     degrees = np.round(np.degrees(data.q), 3)
     both = with_extra_joints(replace(data, q=0.017444 * degrees), 1, 0.05)
+    zero = np.zeros_like(both.q)
     names = [*_numbered("joint", 6), "gripper"]
-    columns = (both.time, both.q, data.qd, both.tau)
-    measured = []
-    commanded = []
-    for time, q, qd, tau in zip(*columns):
-        measured.append((time, joint_state(store.types, time, names, q, qd, tau)))
-        zero = np.zeros(7)
-        commanded.append((time, joint_state(store.types, time, names, q, zero, zero)))
+    measured = states(both, names, ..., 6)
     topics = [
         ("/joint_states_single", STATE, measured),
         ("/joint_states_feedback", STATE, measured),
-        ("/joint_ctrl", STATE, commanded),
+        ("/joint_ctrl", STATE, states(replace(both, qd=zero, tau=zero), names)),
     ]
-    return write_bag(folder / "piper", topics, store, "MCAP")
+    return write_bag(folder / "piper", topics, "MCAP")
 
 
 def openarm_bag(folder: Path) -> Path:
     """A bag of openarm_ros2: 100 Hz, both arms and fingers in one topic, the right arm at rest."""
-    store = typestore("MCAP")
     data = with_extra_joints(openarm_motion(), 9, 0.02)
     names = []
     for side in ("left", "right"):
         names += _numbered(f"openarm_{side}_joint")
         names.append(f"openarm_{side}_finger_joint1")
-    topics = [("/joint_states", STATE, states(store.types, data, names))]
-    return write_bag(folder / "openarm", topics, store, "MCAP")
+    topics = [("/joint_states", STATE, states(data, names))]
+    return write_bag(folder / "openarm", topics, "MCAP")
 
 
 def so101_data_set(folder: Path, version: str) -> Path:
@@ -362,65 +363,64 @@ class DriverLog:
 
 
 def _public_log(
-    name: str, model: str, rate: float, write: Callable[..., Path], **fields: Any
+    name: str,
+    model: str,
+    rate: float,
+    write: Callable[..., Path],
+    accuracy: float = 1e-6,
+    **options: Any,
 ) -> DriverLog:
-    """Return a recording of a public model's arm, at the rate that identification takes [Hz]."""
+    """Return a recording of a public model's arm, at the rate that identification takes [Hz].
+
+    ``options`` are those of ``write``.
+    """
     motion = partial(motion_of, model, rate=rate)
-    return DriverLog(name, write, lambda folder: model_of(model), motion, **fields)
+    write = partial(write, **options)
+    return DriverLog(name, write, lambda folder: model_of(model), motion, accuracy)
 
 
 def _six_joint_log(
-    name: str, rate: float, write: Callable[..., Path], **fields: Any
+    name: str, rate: float, write: Callable[..., Path], accuracy: float = 1e-6
 ) -> DriverLog:
     """Return a recording of the arm of six joints, at a rate [Hz]."""
     motion = partial(six_joint_motion, rate)
     arm = (lambda folder: load_robot_model(six_joint_model(folder)), motion)
-    return DriverLog(name, write, *arm, is_public=False, **fields)
+    return DriverLog(name, write, *arm, accuracy, is_public=False)
 
 
 PANDA = "franka_panda/panda.xml"
 FR3 = "franka_fr3/FrankaFR3_7DoF.urdf"
 _ALL_FRANKA = ("/franka/joint_states", "/franka_gripper/joint_states", "/joint_states")
 _ALL_LBR = ("/lbr/joint_states", "/lbr/state")
+_FR3_BAG = partial(franka, arm="fr3", model=FR3, topic_names=_ALL_FRANKA)
 _PANDA_BAG = partial(franka, arm="panda", model=PANDA, topic_names=_ALL_FRANKA[2:])
 
 DRIVER_LOGS = (
     # frankarobotics/franka_ros2: franka_bringup/launch/franka.launch.py
-    _public_log("panda bag", PANDA, 250.0, partial(_PANDA_BAG, storage="MCAP")),
-    _public_log("panda ROS 1 bag", PANDA, 250.0, partial(_PANDA_BAG, storage="ROS1")),
-    _public_log(
-        "fr3 all topics",
-        FR3,
-        1000.0,
-        partial(franka, arm="fr3", model=FR3, storage="MCAP", topic_names=_ALL_FRANKA),
-    ),
+    _public_log("panda bag", PANDA, 250.0, _PANDA_BAG, storage="MCAP"),
+    _public_log("panda ROS 1 bag", PANDA, 250.0, _PANDA_BAG, storage="ROS1"),
+    _public_log("fr3 all topics", FR3, 1000.0, _FR3_BAG, storage="MCAP"),
     # UniversalRobots/Universal_Robots_ROS2_Driver:
     # ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551
     _public_log(
         "UR torque as effort",
         UR5E,
         500.0,
-        partial(universal_robots, storage="MCAP", is_current=False),
+        universal_robots,
+        storage="MCAP",
+        is_current=False,
     ),
     # UniversalRobots/RTDE_Python_Client_Library: rtde/csv_writer.py
-    _public_log(
-        "UR RTDE torque", UR5E, 500.0, partial(rtde, torque="actual_current_as_torque")
-    ),
+    _public_log("UR RTDE torque", UR5E, 500.0, rtde, torque="actual_current_as_torque"),
     # xArm-Developer/xarm_ros2: xarm_api/src/xarm_driver.cpp
-    _public_log("xArm with gripper", XARM, 100.0, partial(xarm, storage="SQLITE3")),
+    _public_log("xArm with gripper", XARM, 100.0, xarm, storage="SQLITE3"),
     # lbr-stack/lbr_fri_ros2_stack: lbr_description/ros2_control/lbr_controllers.yaml;
     # lbr-stack/lbr_fri_idl: msg/LBRState.msg
     _public_log(
-        "LBR all topics",
-        IIWA,
-        100.0,
-        partial(lbr, storage="MCAP", topic_names=_ALL_LBR),
+        "LBR all topics", IIWA, 100.0, lbr, storage="MCAP", topic_names=_ALL_LBR
     ),
     _public_log(
-        "LBR state alone",
-        IIWA,
-        100.0,
-        partial(lbr, storage="SQLITE3", topic_names=_ALL_LBR[1:]),
+        "LBR state alone", IIWA, 100.0, lbr, storage="SQLITE3", topic_names=_ALL_LBR[1:]
     ),
     # Kinovarobotics/ros_kortex:
     # kortex_driver/src/non-generated/driver/kortex_arm_driver.cpp
@@ -428,19 +428,21 @@ DRIVER_LOGS = (
         "kortex ROS 1",
         GEN3,
         100.0,
-        partial(kortex, topic_names=("joint_states", "base_feedback")),
+        kortex,
+        topic_names=("joint_states", "base_feedback"),
     ),
     # Kinova's own message has single precision.
     _public_log(
         "kortex base_feedback alone",
         GEN3,
         100.0,
-        partial(kortex, topic_names=("base_feedback",)),
-        accuracy=6e-6,
+        kortex,
+        6e-6,
+        topic_names=("base_feedback",),
     ),
     # agilexrobotics/Piper_ros: src/piper/piper/piper_ctrl_single_node.py;
     # 0.017444 is 0.05 % less than a degree.
-    _six_joint_log("Piper bag", 200.0, piper, accuracy=3e-3),
+    _six_joint_log("Piper bag", 200.0, piper, 3e-3),
     # enactic/openarm_ros2: openarm_bringup/config/v10_controllers
     DriverLog("OpenArm bag", openarm_bag, lambda folder: openarm(), openarm_motion),
     # i2rt-robotics/i2rt: i2rt/robots/motor_chain_robot.py
@@ -453,9 +455,11 @@ UNWEIGHED_LOGS = (
         "UR current as effort",
         UR5E,
         500.0,
-        partial(universal_robots, storage="MCAP", is_current=True),
+        universal_robots,
+        storage="MCAP",
+        is_current=True,
     ),
-    _public_log("UR RTDE current", UR5E, 500.0, partial(rtde, torque="actual_current")),
+    _public_log("UR RTDE current", UR5E, 500.0, rtde, torque="actual_current"),
 )
 """Recordings whose efforts are no torques. Their ``write`` takes ``load``, the mass of a weight on
 the terminal link [kg]."""

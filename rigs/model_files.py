@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
-from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import ModelDocument, read_document
+from robot_sysid.mjcf.updated_model import ModelChange, changed_model_text
 from robot_sysid.model.compilation import compile_model
+from robot_sysid.results.verification import compiled_file, require_change
 
 TETRAHEDRON = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1
 f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"""
@@ -59,15 +58,13 @@ def write_files(folder: Path, files: dict[str, str]) -> Path:
     return folder / next(iter(files))
 
 
+def write_and_verify(source: Path, change: ModelChange, target: Path) -> None:
+    """Write a changed model file as results are written, and verify it."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(changed_model_text(source, change, target.parent.absolute()))
+    require_change(compile_model(source).mj_model, compiled_file(target), change)
+
+
 def document_of(folder: Path, text: str, name: str = "m.xml") -> ModelDocument:
     """Write a model file, and return it as it is read."""
     return read_document(write_files(folder, {name: text}))
-
-
-def assert_model_refused(message: str, path: Path, mesh_dir: Path | None = None) -> str:
-    """Assert that a model file is refused in one line that matches, and return the line."""
-    with pytest.raises(ModelError, match=message) as caught:
-        compile_model(path, mesh_dir)
-    text = str(caught.value)
-    assert "\n" not in text
-    return text

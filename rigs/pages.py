@@ -112,10 +112,9 @@ def add_recordings(folder: Path) -> None:
     q = np.transpose(values[: len(AXES)])
     tau = np.transpose(values[len(AXES) :])
     data = Recording(time, q, np.zeros_like(q), tau)
-    store = recorded.typestore()
-    messages = recorded.shuffled_states(store.types, data, titles)
+    messages = recorded.shuffled_states(data, titles)
     topics = [("/joint_states", recorded.STATE, messages)]
-    recorded.write_bag(folder / "run1.mcap", topics, store, "MCAP")
+    recorded.write_bag(folder / "run1.mcap", topics, "MCAP")
 
 
 def make_models(folder: Path) -> None:

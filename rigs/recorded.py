@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from rigs.log_files import JOINTS, write
 from robot_sysid.logs.ros_messages import DEFINITIONS, DYNAMIC, FRANKA, KORTEX, STATE
@@ -64,6 +65,12 @@ def joint_state(types, time, names, q, qd, tau):
     return types[STATE](header(types, time), list(names), *lists)
 
 
+def later_of_types(messages):
+    """Return a function of all arguments but the types, whose result yields messages of types."""
+    return lambda *arguments: lambda types: messages(types, *arguments)
+
+
+@later_of_types
 def shuffled_states(types, data: Recording, names=JOINTS):
     """The arm's messages, in an order that changes, with a gripper's between them."""
     rng = np.random.default_rng(1)
@@ -74,11 +81,12 @@ def shuffled_states(types, data: Recording, names=JOINTS):
         yield joint_state(types, time, ["finger"], [0.01], [0.0], [1.0])
 
 
-def write_bag(path: Path, topics, store, storage="SQLITE3") -> Path:
-    """A bag; ``topics`` are (name, type, messages), see ``_written``.
+def write_bag(path: Path, topics, storage="SQLITE3") -> Path:
+    """A bag; ``topics`` are (name, type, function of the types that yields messages).
 
     ``storage``: "SQLITE3" or "MCAP" of ROS 2, or "ROS1".
     """
+    store = typestore(storage)
     if storage == "ROS1":
         from rosbags.rosbag1 import Writer
 
@@ -99,7 +107,7 @@ def _written(path: Path, writer, topics, store, serialize) -> Path:
     with writer:
         for topic, message_type, messages in topics:
             connection = writer.add_connection(topic, message_type, typestore=store)
-            for count, message in enumerate(messages):
+            for count, message in enumerate(messages(store.types)):
                 received = 10**9 + count * 10**6
                 if isinstance(message, tuple):
                     time, message = message
@@ -109,9 +117,8 @@ def _written(path: Path, writer, topics, store, serialize) -> Path:
 
 
 def rosbag(folder: Path, data: Recording, storage: str = "SQLITE3") -> Path:
-    store = typestore(storage)
-    topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
-    return write_bag(folder / "bag", topics, store, storage)
+    topics = [("/joint_states", STATE, shuffled_states(data))]
+    return write_bag(folder / "bag", topics, storage)
 
 
 def single_mcap(folder: Path, data: Recording) -> Path:
@@ -120,6 +127,7 @@ def single_mcap(folder: Path, data: Recording) -> Path:
     return file.rename(folder / "alone.mcap")
 
 
+@later_of_types
 def dynamic_states(types, data: Recording, names, orders):
     """Yield (time, DynamicJointState), with an order of ``INTERFACES`` for each joint."""
     value = types["control_msgs/msg/InterfaceValue"]
@@ -133,25 +141,24 @@ def dynamic_states(types, data: Recording, names, orders):
 
 def dynamic_joint_state(folder: Path, data: Recording) -> Path:
     """DynamicJointState with the interfaces in another order for every joint."""
-    store = typestore()
-    messages = dynamic_states(store.types, data, JOINTS, ORDERS)
-    return write_bag(folder / "bag", [("/states", DYNAMIC, messages)], store)
+    messages = dynamic_states(data, JOINTS, ORDERS)
+    return write_bag(folder / "bag", [("/states", DYNAMIC, messages)])
+
+
+@later_of_types
+def franka_states(types, data: Recording):
+    """Yield FrankaRobotState messages, in which joints have the opposite of what is measured."""
+    names = [f"fr3_{joint}" for joint in JOINTS]
+    for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
+        measured = joint_state(types, time, names, q, qd, tau)
+        desired = joint_state(types, time, JOINTS, -q, -qd, -tau)
+        yield types[FRANKA](header(types, time), measured, desired, time)
 
 
 def franka_state(folder: Path, data: Recording) -> Path:
     """FrankaRobotState in an MCAP, with its definition in the file."""
-    store = typestore()
-    types = store.types
-    names = [f"fr3_{joint}" for joint in JOINTS]
-
-    def messages():
-        for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
-            measured = joint_state(types, time, names, q, qd, tau)
-            desired = joint_state(types, time, JOINTS, -q, -qd, -tau)
-            yield types[FRANKA](header(types, time), measured, desired, time)
-
-    topics = [("/franka_robot_state_broadcaster/robot_state", FRANKA, messages())]
-    return write_bag(folder / "bag", topics, store, "MCAP")
+    name = "/franka_robot_state_broadcaster/robot_state"
+    return write_bag(folder / "bag", [(name, FRANKA, franka_states(data))], "MCAP")
 
 
 def write_data_set(
@@ -219,11 +226,27 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Recording], Path
     return write
 
 
+def arrays_of(data: Recording) -> dict[str, Any]:
+    """Return the arrays of a motion by their titles."""
+    return {name: getattr(data, name) for name in ("time", "q", "qd", "tau")}
+
+
 def npz(folder: Path, data: Recording) -> Path:
-    path = folder / "log.npz"
-    columns = {"time": data.time, "q": data.q, "qd": data.qd, "tau": data.tau}
-    np.savez(path, **columns, note="text is no column")
-    return path
+    np.savez(folder / "log.npz", **arrays_of(data), note="text is no column")
+    return folder / "log.npz"
+
+
+def hdf5(folder: Path, data: Recording) -> Path:
+    import h5py
+
+    with h5py.File(folder / "log.hdf5", "w") as file:
+        file.update(arrays_of(data))
+    return folder / "log.hdf5"
+
+
+def matlab(folder: Path, data: Recording) -> Path:
+    savemat(folder / "log.mat", arrays_of(data))
+    return folder / "log.mat"
 
 
 def arrow(data: Recording):
@@ -292,6 +315,8 @@ FORMS: dict[str, Callable[[Path, Recording], Path]] = {
     "LeRobot": lerobot("v2.1"),
     "Parquet": parquet,
     "npz": npz,
+    "HDF5": hdf5,
+    "MATLAB": matlab,
     "libfranka": libfranka,
     "RTDE": rtde,
     "PlotJuggler": plotjuggler,

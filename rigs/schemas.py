@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 
@@ -24,9 +25,12 @@ def _check_text(name: str, text: str) -> None:
     jsonschema.validate(json.loads(text), schema(name), jsonschema.Draft202012Validator)
 
 
-def check(path: Path) -> None:
-    """Raise jsonschema's error where a result file is not what its schema says."""
-    _check_text(path.stem, path.read_text(encoding="utf-8"))
+def check(path: Path) -> dict[str, Any]:
+    """Return a result file; raise jsonschema's error where it is not what its schema says."""
+    text = path.read_text(encoding="utf-8")
+    _check_text(path.stem, text)
+    content: dict[str, Any] = json.loads(text)
+    return content
 
 
 def check_results(folder: Path) -> None:

@@ -20,9 +20,6 @@ from robot_sysid.errors import ColumnsError, SysidError
 from robot_sysid.solver import identify_parameters
 
 ARM = serial_arm((Y, "1 .2 0"))
-MISSING_MESH = ARM.replace(
-    "<worldbody>", "<asset><mesh name='cup' file='cup.stl'/></asset><worldbody>"
-)
 SHORT = ("--duration", "1", "--sample-rate", "100", "--seed", "1")
 EXPORT = ("--export-damiao", *(("--motor-type", "DM4340") * 2))
 RESULTS = ["damiao_trajectory.csv", "params.json", "updated_model.xml"]
@@ -33,16 +30,6 @@ WITH_OPTIONS = sorted([*RESULTS, "run.toml"])
 def arm(arm_file):
     """A two-joint model; ``command`` makes its folder the working one."""
     return arm_file(ARM)
-
-
-def test_bad_files_exit_2_with_one_line_and_nothing_written(arm, command):
-    """What each is refused for is tested where it is read."""
-    path = arm.with_name("bad.xml")
-    assert "not found" in command.refused(path)
-    for text, phrase in ((ARM[: len(ARM) // 2], "XML"), (MISSING_MESH, "cup.stl")):
-        path.write_text(text)
-        assert phrase in command.refused(path)
-    assert "is a folder" in command.refused(arm.parent)
 
 
 BAD_OPTIONS = [

@@ -17,6 +17,7 @@ from rigs.places import ROOT
 
 DOCUMENTS = "mjcf/test_documents.py::"
 ARRAYS = "logs/test_arrays.py::"
+SPECIAL = "commands/test_special_files.py::test_no_path_leads_to_a_pipe_or_a_device"
 HELD = {
     "XML entities": f"{DOCUMENTS}test_what_is_no_model_is_refused_in_one_line",
     "a `<!DOCTYPE>`": f"{DOCUMENTS}test_a_doctype_in_another_file_is_not_opened",
@@ -24,10 +25,10 @@ HELD = {
     "a model that includes itself": f"{DOCUMENTS}test_includes_that_fail_are_one_line",
     "comments that": f"{DOCUMENTS}test_marks_that_never_end_take_no_longer_than_their_length",
     "elements nested": f"{DOCUMENTS}test_what_is_no_model_is_refused_in_one_line",
-    "a pipe or a device in place of a model": f"{DOCUMENTS}test_a_pipe_is_not_waited_for",
+    "a pipe or a device in place of a model": SPECIAL,
     "a mesh": "mjcf/test_assets.py::test_a_pipe_in_the_place_of_a_mesh_is_not_waited_for",
-    "or a log": "logs/test_reader.py::test_a_pipe_is_not_waited_for",
-    "any other path": "commands/test_special_files.py::test_no_path_leads_to_a_pipe_or_a_device",
+    "or a log": SPECIAL,
+    "any other path": SPECIAL,
     "a pickled": f"{ARRAYS}test_a_pickled_object_is_never_loaded",
     "JSON nested": "records/test_file_access.py::test_what_is_no_json_is_refused_in_one_line",
     "an integer": "records/test_file_access.py::test_an_integer_beyond_all_floats_is_infinite",

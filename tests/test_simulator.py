@@ -3,12 +3,13 @@
 import copy
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from rigs import arms
 from rigs.arms import SEEDS, robot_of, seeded_motion
+from rigs.refusals import refused
 from robot_sysid.errors import SimulationError
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
@@ -34,7 +35,7 @@ def test_friction_is_coulomb_and_viscous_with_the_models_coefficients(name, seed
     smooth = simulated(robot_of(model), motion).tau
     rigid = simulated(robot, motion).tau - friction
     tolerance = 1e-13 * np.max(np.abs(smooth))
-    np.testing.assert_allclose(rigid, smooth, rtol=0.0, atol=tolerance)
+    assert_allclose(rigid, smooth, rtol=0.0, atol=tolerance)
 
 
 def test_contacts_and_joint_limits_do_not_push():
@@ -49,7 +50,7 @@ def test_contacts_and_joint_limits_do_not_push():
     motion = seeded_motion(2, 3, 5)
     expected = simulated(robot_of(free), motion).tau
     tau = simulated(robot_of(boxed), motion).tau
-    np.testing.assert_allclose(tau, expected, rtol=1e-12)
+    assert_allclose(tau, expected, rtol=1e-12)
 
 
 def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause():
@@ -57,6 +58,5 @@ def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause():
     robot.mj_model.body_mass[robot.body_id] = np.nan
     plan = generate_excitation_trajectory(robot, np.random.default_rng(0), 2.0)
     message = r"joint joint\d .* at \d\.\d{3} s.*<inertial>"
-    with pytest.raises(SimulationError, match=message) as caught:
+    with refused(message, SimulationError):
         list(simulate_inverse(robot, motion_chunks(plan, 100.0)))
-    assert "\n" not in str(caught.value)

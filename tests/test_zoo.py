@@ -16,7 +16,6 @@ from numpy.testing import assert_allclose
 from rigs import arms, witness
 from rigs.places import MODELS
 from robot_sysid import spatial
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.model.bodies import body_theta
@@ -125,17 +124,6 @@ def test_doubt_lists_the_candidates(model, joints):
         load(model)
     assert [joint for joint, _ in caught.value.candidates] == joints
     assert caught.value.exit_code == 2
-
-
-@pytest.mark.parametrize(("model", "joint"), slow_unless_quick(CHOICES))
-def test_rest_plus_link_is_mujocos_inverse_dynamics(model, joint):
-    robot = load(model, joint)
-    heavier, theta = with_heavier_link(robot)
-    motion = excitation(robot, 6.0).evaluate(np.linspace(0.0, 6.0, 60))
-    rows, rest = arms.rows_and_rest(robot, (motion.q, motion.qd, motion.qdd))
-    predicted = rest + rows @ theta
-    actual = ArmDynamics(robot, heavier).torque(motion.q, motion.qd, motion.qdd)
-    assert_allclose(predicted, actual, rtol=0.0, atol=1e-9 * np.max(np.abs(actual)))
 
 
 @pytest.mark.parametrize(("model", "joint"), slow_unless_quick(CHOICES))

@@ -12,6 +12,7 @@ import pytest
 
 from rigs import option_samples
 from rigs.command_line import COMMANDS
+from rigs.refusals import refused
 from robot_sysid import __version__, commands
 from robot_sysid.cli import main
 from robot_sysid.commands.arguments import Parser
@@ -87,7 +88,7 @@ WRONG_FILES = {
 
 def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path):
     file = tmp_path / "mine.toml"
-    with pytest.raises(InputError, match=r"mine\.toml: No such file"):
+    with refused(r"mine\.toml: No such file"):
         IDENTIFY.parse(["--config", str(file)])
     for text, message in WRONG_FILES.items():
         file.write_text(text)

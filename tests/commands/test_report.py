@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import sys
 
 import pytest
 
@@ -81,18 +80,6 @@ def test_a_report_that_fails_leaves_the_results(
     assert message in printed.err and "ink is out" in printed.err
     assert "Results saved" in printed.out
     assert (arm.parent / "sysid_output" / "updated_model.xml").is_file()
-
-
-def test_without_the_option_nothing_is_drawn_and_nothing_for_it_loaded(command, arm):
-    already = {"matplotlib", "jinja2"} & set(sys.modules)
-    command.run(arm, *RUN)
-    folder = arm.parent / "sysid_output"
-    assert {path.name for path in folder.iterdir()} == {
-        "params.json",
-        "run.toml",
-        "updated_model.xml",
-    }
-    assert {"matplotlib", "jinja2"} & set(sys.modules) == already
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rigs.log_files import JOINTS, TITLES, motion, notes_of, read_table, table
+from rigs.refusals import refused
 from robot_sysid.errors import InputError
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
@@ -178,8 +179,8 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
     rows = np.column_stack((table(motion()), stamps))
     np.testing.assert_array_equal(read_table(tmp_path, rows, titles).joint_time, stamps)
     rows[7, 8] -= 0.05
-    with pytest.raises(InputError, match="run backwards"):
+    with refused("run backwards"):
         read_table(tmp_path, rows, titles)
     rows = np.column_stack((table(motion()), stamps + 5.0))
-    with pytest.raises(InputError, match=r"5 s off.*joint_time = none"):
+    with refused(r"5 s off.*joint_time = none"):
         read_table(tmp_path, rows, titles)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from dataclasses import replace
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.io import savemat
+from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs import recorded
 from rigs.log_files import (
@@ -26,6 +25,7 @@ from rigs.log_files import (
     write,
 )
 from rigs.model_files import LFS_POINTER, write_files
+from rigs.refusals import refused
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, reader
 from robot_sysid.records.messages import Progress
@@ -61,12 +61,6 @@ def test_files_without_a_table_are_refused(tmp_path, content, fault):
     assert_refused(fault, path)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "log.csv")
-    assert_refused("log.csv is a pipe or a device", tmp_path / "log.csv")
-
-
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
 
 
@@ -80,8 +74,8 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(
         path, JOINTS, torque_scale=scale, torque_constants=constants
     )
     expected = motion(20).tau * constants / np.array(scale)
-    np.testing.assert_allclose(log.tau, expected, rtol=1e-14)
-    np.testing.assert_array_equal(log.q, motion(20).q)
+    assert_allclose(log.tau, expected, rtol=1e-14)
+    assert_array_equal(log.q, motion(20).q)
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1' x 0.5, 'tau2' x 0.5, 'tau3' x 0.5" in notes
 
@@ -117,26 +111,14 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path, first_bytes, form):
     assert_refused(f"as {form}", path)
 
 
-def hdf5(folder, data):
-    with pytest.importorskip("h5py").File(folder / "log.hdf5", "w") as file:
-        for name in ("time", "q", "tau"):
-            file[name] = getattr(data, name)
-    return folder / "log.hdf5"
-
-
-def matlab(folder, data):
-    savemat(folder / "log.mat", {"time": data.time, "q": data.q, "tau": data.tau})
-    return folder / "log.mat"
-
-
 FORMS = recorded.FORMS
 BAG_TYPES = "rosbags.typesys.get_typestore"
 PARQUET_FILE = "pyarrow.parquet.ParquetFile"
 STACK = "numpy.column_stack"
 FILES_AND_CALLS = {
     reader.bag_table: (FORMS["ROS 1 bag"], BAG_TYPES, BAG_TYPES),
-    arrays.matlab_table: (matlab, "scipy.io.loadmat", STACK),
-    arrays.hdf5_table: (hdf5, "h5py.File", STACK),
+    arrays.matlab_table: (FORMS["MATLAB"], "scipy.io.loadmat", STACK),
+    arrays.hdf5_table: (FORMS["HDF5"], "h5py.File", STACK),
     arrays.npz_table: (FORMS["npz"], "numpy.load", STACK),
     arrays.parquet_table: (FORMS["Parquet"], PARQUET_FILE, STACK),
     arrays.lerobot_table: (FORMS["LeRobot"], PARQUET_FILE, STACK),
@@ -184,31 +166,28 @@ def test_whatever_a_library_raises_is_an_input_error_that_names_the_file(
     assert f"({type(fault).__name__})" in text
 
 
-@pytest.mark.parametrize("suffix", ["csv", "mcap", "npz"])
-def test_a_pointer_of_lfs_says_so_under_any_name(tmp_path, suffix):
-    path = tmp_path / f"log.{suffix}"
-    path.write_text(LFS_POINTER)
-    assert_refused(f"log.{suffix} is a pointer of Git LFS.* git lfs pull", path)
+LFS_FILES = [
+    {"log.csv": LFS_POINTER},
+    {"log.mcap": LFS_POINTER},
+    {"log.npz": LFS_POINTER},
+    {"log/metadata.yaml": "", "log/log_0.mcap": LFS_POINTER},
+    {"log/metadata.yaml": LFS_POINTER},
+    {"log/meta/info.json": LFS_POINTER},
+    {
+        "log/meta/info.json": '{"features": {"observation.state": {"names": ["a.torque"]}}}',
+        "log/data/chunk-000/file-000.parquet": LFS_POINTER,
+    },
+]
 
 
-@pytest.mark.parametrize(
-    "files",
-    [
-        {"metadata.yaml": "", "log_0.mcap": LFS_POINTER},
-        {"metadata.yaml": LFS_POINTER},
-        {"meta/info.json": LFS_POINTER},
-        {
-            "meta/info.json": '{"features": {"observation.state": {"names": ["a.torque"]}}}',
-            "data/chunk-000/file-000.parquet": LFS_POINTER,
-        },
-    ],
-    ids=list,
-)
-def test_a_pointer_of_lfs_in_a_folder_is_named(tmp_path, files):
+@pytest.mark.parametrize("files", LFS_FILES, ids=list)
+def test_a_pointer_of_lfs_is_named_under_any_name_and_in_a_folder(tmp_path, files):
     for library in ("rosbags", "pyarrow"):
         pytest.importorskip(library)
     write_files(tmp_path, files)
-    assert_refused(f"{list(files)[-1]} is a pointer of Git LFS", tmp_path)
+    *_, name = files
+    fault = f"{name} is a pointer of Git LFS.* git lfs pull"
+    assert_refused(fault, tmp_path / name.split("/")[0])
 
 
 def test_a_text_without_numbers_is_no_defect(tmp_path):
@@ -229,7 +208,7 @@ def test_motor_currents_are_taken_with_torque_constants_only(tmp_path):
     path = recorded.rtde(tmp_path, DATA, torque="actual_current")
     assert_refused("motor currents: give --torque-constants", path)
     log = read_measurements(path, JOINTS, torque_constants=(10.0, 20.0, 30.0))
-    np.testing.assert_allclose(log.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14)
+    assert_allclose(log.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14)
 
 
 def test_logs_with_the_same_samples_are_refused(tmp_path):
@@ -237,7 +216,7 @@ def test_logs_with_the_same_samples_are_refused(tmp_path):
     other = read_measurements(write(tmp_path / "other.csv", table(motion(50))), JOINTS)
     copy = replace(log, name=str(tmp_path / "copy.csv"))
     reader.refuse_repeated_logs([other, log])
-    with pytest.raises(InputError, match="copy.csv has the samples of .*log.csv: "):
+    with refused("copy.csv has the samples of .*log.csv: "):
         reader.refuse_repeated_logs([other, log, copy])
 
 

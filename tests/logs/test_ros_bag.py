@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from rigs import recorded
 from rigs.log_files import JOINTS, assert_refused, motion, read_measurements
@@ -18,24 +19,24 @@ DATA = motion(60)
 
 
 def write_bag(path, rows):
-    """A bag with one message per row: time, joint indices and joints' names, q, qd and tau."""
+    """A bag with one message per row: time, joints' names, q, qd and tau."""
     pytest.importorskip("rosbags")
-    store = recorded.typestore()
-    messages = []
-    for time, joints, *values in rows:
-        selected = [np.asarray(array)[joints] for array in values]
-        messages.append(recorded.joint_state(store.types, time, *selected))
-    topic = ("/joint_states", recorded.STATE, messages)
-    return recorded.write_bag(path, [topic], store)
+    return recorded.write_bag(path, [("/joint_states", recorded.STATE, states(rows))])
+
+
+@recorded.later_of_types
+def states(types, rows):
+    """Yield JointState messages of rows of the arguments of ``joint_state``."""
+    for row in rows:
+        yield recorded.joint_state(types, *row)
 
 
 def rows_of(indices, joints=(0, 1, 2)):
     """Rows of the motion at these indices, with some of its joints."""
-    selected = list(joints)
     rows = []
     for k in indices:
-        row = (DATA.time[k], selected, JOINTS, DATA.q[k], DATA.qd[k], DATA.tau[k])
-        rows.append(row)
+        values = (JOINTS, DATA.q[k], DATA.qd[k], DATA.tau[k])
+        rows.append((DATA.time[k], *(np.take(array, joints) for array in values)))
     return rows
 
 
@@ -64,61 +65,47 @@ def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
 
 def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_path):
     pytest.importorskip("rosbags")
-    store = recorded.typestore()
-    types = store.types
-    state = recorded.joint_state
-    gripper = [state(types, t, ["f"], [0.0], [0.0], [0.0]) for t in DATA.time]
-    pairs = zip(DATA.time, DATA.q)
-    desired = [state(types, t, JOINTS, q, None, None) for t, q in pairs]
-    measured = list(recorded.shuffled_states(types, DATA))
+    gripper = [(t, ["f"], [0.0], [0.0], [0.0]) for t in DATA.time]
+    desired = [(t, JOINTS, q, None, None) for t, q in zip(DATA.time, DATA.q)]
+    measured = recorded.shuffled_states(DATA)
     topics = [
-        ("/gripper", recorded.STATE, gripper),
-        ("/desired", recorded.STATE, desired),
+        ("/gripper", recorded.STATE, states(gripper)),
+        ("/desired", recorded.STATE, states(desired)),
         ("/joint_states", recorded.STATE, measured),
     ]
-    path = recorded.write_bag(tmp_path / "bag", topics, store)
+    path = recorded.write_bag(tmp_path / "bag", topics)
     assert "topic /joint_states" in read_measurements(path, JOINTS).notes[0]
     assert_refused("topic /desired has no effort", path, topic="/desired")
     assert_refused("no joint states in topic '/up'; its topics", path, topic="/up")
-    mirrored = list(recorded.shuffled_states(types, replace(DATA, q=-DATA.q)))
+    mirrored = recorded.shuffled_states(replace(DATA, q=-DATA.q))
     both = [("/left", recorded.STATE, measured), ("/right", recorded.STATE, mirrored)]
-    path = recorded.write_bag(tmp_path / "both", both, store)
+    path = recorded.write_bag(tmp_path / "both", both)
     assert_refused(r"/left .*/right .*--topic", path)
     assert len(read_measurements(path, JOINTS, topic="/right")) == len(DATA)
 
 
 def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
-    pytest.importorskip("rosbags")
-    store = recorded.typestore()
     left = [f"left_{joint}" for joint in JOINTS]
     right = [f"right_{joint}" for joint in JOINTS]
-    q, qd, tau = np.tile((DATA.q, DATA.qd, DATA.tau), 2)
-    wide = []
-    for time, *row in zip(DATA.time, q, qd, tau):
-        wide.append(recorded.joint_state(store.types, time, [*left, *right], *row))
-    path = recorded.write_bag(tmp_path / "bag", [("/js", recorded.STATE, wide)], store)
+    values = np.tile((DATA.q, DATA.qd, DATA.tau), 2)
+    rows = [(t, left + right, *row) for t, *row in zip(DATA.time, *values)]
+    path = write_bag(tmp_path / "bag", rows)
     assert_refused(
         "left_base, left_elbow, left_wrist and right_base, right_elbow, right_wrist",
         path,
     )
-    np.testing.assert_array_equal(read_measurements(path, left).q, DATA.q)
+    assert_array_equal(read_measurements(path, left).q, DATA.q)
 
 
 def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
     """As Franka's in the .db3 of ROS 2 Humble; alone, it is refused with what to do."""
     pytest.importorskip("rosbags")
-    store = recorded.typestore()
-    states = list(recorded.shuffled_states(store.types, DATA))
-    frankas = []
-    for state in states:
-        header = state.header
-        frankas.append(store.types[recorded.FRANKA](header, state, state, 0.0))
     topics = [
-        ("/franka/robot_state", recorded.FRANKA, frankas),
-        ("/joint_states", recorded.STATE, states),
+        ("/franka/robot_state", recorded.FRANKA, recorded.franka_states(DATA)),
+        ("/joint_states", recorded.STATE, recorded.shuffled_states(DATA)),
     ]
-    path = recorded.write_bag(tmp_path / "bag", topics, store)
-    alone = recorded.write_bag(tmp_path / "alone", topics[:1], store)
+    path = recorded.write_bag(tmp_path / "bag", topics)
+    alone = recorded.write_bag(tmp_path / "alone", topics[:1])
     for folder in (path, alone):
         with contextlib.closing(sqlite3.connect(next(folder.glob("*.db3")))) as file:
             # Releases for Python 3.9 write no definitions at all.
@@ -128,5 +115,5 @@ def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
         metadata = folder / "metadata.yaml"
         metadata.write_text(metadata.read_text().replace("version: 9", "version: 5"))
     log = read_measurements(path, JOINTS)
-    np.testing.assert_array_equal(log.q, DATA.q)
+    assert_array_equal(log.q, DATA.q)
     assert_refused("FrankaRobotState. without its definition: .*-s mcap", alone)

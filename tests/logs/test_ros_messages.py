@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigs.driver_logs import START_NS, kortex_feedback, lbr_states, typestore
+from rigs.driver_logs import START_NS, kortex_feedback, lbr_states
+from rigs.recorded import typestore
 from robot_sysid.logs.ros_messages import KORTEX, LBR, READERS, read_stamp
 from robot_sysid.records import Recording
 
@@ -22,7 +23,7 @@ DATA = Recording(np.array([0.5]), ANGLES[None], 0.1 * ANGLES[None], 2.0 * ANGLES
 )
 def test_a_makers_message_is_read(message_type, messages, joint, stamp):
     pytest.importorskip("rosbags")
-    ((_, message),) = messages(typestore().types, DATA)
+    ((_, message),) = messages(DATA)(typestore().types)
     sample = READERS[message_type](message)
     for number, angle in enumerate(ANGLES, start=1):
         name = joint.format(number)

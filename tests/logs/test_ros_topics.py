@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_sysid.errors import InputError
+from rigs.refusals import refused
 from robot_sysid.logs.ros_bag import Topic, choose_topic
 from robot_sysid.logs.ros_messages import DYNAMIC, STATE
 from robot_sysid.logs.table import LogTable
@@ -62,12 +62,12 @@ def test_topics_of_two_arms_are_refused(names):
     other = other if other != names else names.replace("right", "left")
     both = [name.format("joint_states") for name in (names, other)]
     fault = r"several .*joint_states .*--topic"
-    with pytest.raises(InputError, match=fault) as caught:
+    with refused(fault) as caught:
         choose_topic(BAG, list(map(topic, both)))
     assert {*caught.value.options} == {("--topic", name) for name in both}
 
 
 def test_an_arm_without_torque_is_refused():
     bare = topic("/joint_states", rank=(True, False, False))
-    with pytest.raises(InputError, match="/joint_states has no effort"):
+    with refused("/joint_states has no effort"):
         choose_topic(BAG, [bare])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.log_files import motion, notes_of, read_table, table
-from robot_sysid.errors import InputError
+from rigs.refusals import refused
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -23,8 +23,8 @@ def test_rows_with_holes_or_rubbish_are_left_out_and_counted(tmp_path, rows_hit,
         rows[k][4] = cell
     log = read_table(tmp_path, rows)
     usable = np.setdiff1d(np.arange(len(data)), list(rows_hit))
-    np.testing.assert_array_equal(log.time, data.time[usable])
-    np.testing.assert_array_equal(log.tau, data.tau[usable])
+    assert_array_equal(log.time, data.time[usable])
+    assert_array_equal(log.tau, data.tau[usable])
     assert f": {len(rows_hit)} (first: line {min(rows_hit) + 2}" in notes_of(log)
 
 
@@ -38,18 +38,18 @@ def test_wrapped_positions_are_unwrapped(tmp_path, amplitude, offset):
     log = read_table(tmp_path, rows, units="rad")
     q = log.q[:, 0]
     turns = np.round((true - q) / (2.0 * np.pi))[0]
-    np.testing.assert_allclose(q + 2.0 * np.pi * turns, true, rtol=0.0, atol=1e-12)
+    assert_allclose(q + 2.0 * np.pi * turns, true, rtol=0.0, atol=1e-12)
 
 
 def test_a_slide_has_no_full_turn_and_no_degrees(tmp_path):
     slide = (True, False, False)
     rows = table(motion())
     rows[200:, 1] += 2.0 * np.pi
-    with pytest.raises(InputError, match="joint base jumps at line 202"):
+    with refused("joint base jumps at line 202"):
         read_table(tmp_path, rows, is_slide=slide)
     rows[:200, 1] += 2.0 * np.pi
     rows[:, 1] += 10.0
-    with pytest.raises(InputError, match="look like degrees"):
+    with refused("look like degrees"):
         read_table(tmp_path, rows)
     assert len(read_table(tmp_path, rows, units="rad")) == 400
     assert len(read_table(tmp_path, rows, is_slide=slide)) == 400

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.log_files import assert_refused, motion, read_measurements, write
 from robot_sysid.logs.titles import read_title
@@ -44,8 +45,8 @@ def test_commands_take_the_place_of_torques(tmp_path, title):
     titles = ["time", "q0", "q1", "q2", *(title.format(k) for k in range(3))]
     path = write(tmp_path / "log.csv", rows, titles)
     log = read_measurements(path, JOINTS, commanded=True)
-    np.testing.assert_allclose(log.command, rows[:, 4:])
-    np.testing.assert_allclose(log.tau, rows[:, 4:] - data.q)
+    assert_allclose(log.command, rows[:, 4:])
+    assert_allclose(log.tau, rows[:, 4:] - data.q)
     assert_refused("one torque column for each", path)
 
 
@@ -69,8 +70,8 @@ def test_names_around_numbers_are_matched_as_a_whole_set(tmp_path, title):
         columns += [values[:, k - 1] for k in numbers]
     path = write(tmp_path / "log.csv", np.column_stack(columns), titles)
     log = read_measurements(path, ("joint1", "joint2", "joint3"))
-    np.testing.assert_array_equal(log.q, data.q)
-    np.testing.assert_array_equal(log.tau, data.tau)
+    assert_array_equal(log.q, data.q)
+    assert_array_equal(log.tau, data.tau)
     (note,) = [note for note in log.notes if note.startswith("log joints: ")]
     assert "are joint1, joint2, joint3; not used: " in note
     assert_refused("one position column .*each joint", path, JOINTS4)
@@ -83,4 +84,4 @@ def test_a_gripper_that_counts_on_is_no_joint_of_the_arm(tmp_path):
     titles += [f"{joint}_tau" for joint in JOINTS4[:3]]
     path = write(tmp_path / "log.csv", rows, titles)
     log = read_measurements(path, JOINTS4[:3])
-    np.testing.assert_array_equal(log.q, data.q)
+    assert_array_equal(log.q, data.q)

@@ -10,7 +10,7 @@ import pytest
 
 from rigs import urdf
 from rigs.model_files import LFS_POINTER, TETRAHEDRON, write_files
-from robot_sysid.errors import InputError
+from rigs.refusals import refused
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document, reference
 from robot_sysid.model.compilation import compile_model
@@ -131,7 +131,7 @@ def test_a_mesh_that_is_a_pointer_of_lfs_is_named(tmp_path, suffix):
     }
     write_files(tmp_path, files)
     for name in ("a.xml", "a.urdf"):
-        with pytest.raises(InputError, match=f"m.{suffix} is a pointer of Git LFS"):
+        with refused(f"m.{suffix} is a pointer of Git LFS"):
             compile_model(tmp_path / name)
 
 
@@ -139,5 +139,5 @@ def test_a_mesh_that_is_a_pointer_of_lfs_is_named(tmp_path, suffix):
 def test_a_pipe_in_the_place_of_a_mesh_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "m.obj")
     path = write_files(tmp_path, {"m.xml": meshed_model("")})
-    with pytest.raises(InputError, match="m.obj is a pipe or a device"):
+    with refused("m.obj is a pipe or a device"):
         compile_model(path)

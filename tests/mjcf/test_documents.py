@@ -9,7 +9,8 @@ import sys
 import pytest
 
 from rigs.model_files import ARM, document_of, write_files
-from robot_sysid.errors import InputError, ModelError
+from rigs.refusals import refused
+from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import read_document
 
 BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"
@@ -41,24 +42,23 @@ def names(path):
 def test_what_is_no_model_is_refused_in_one_line(tmp_path, content, message):
     path = tmp_path / "m.xml"
     path.write_bytes(content)
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(message, ModelError):
         read_document(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_log_in_the_place_of_the_model_is_met_with_the_order_of_both(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time,q1\n0,1\n")
-    with pytest.raises(ModelError, match="log LOG MODEL$"):
+    with refused("log LOG MODEL$", ModelError):
         read_document(path)
 
 
 def test_a_folder_and_a_missing_file_are_one_line(tmp_path):
-    with pytest.raises(InputError, match="is a folder"):
+    with refused("is a folder"):
         read_document(tmp_path)
-    with pytest.raises(InputError, match="nothing.xml not found"):
+    with refused("nothing.xml not found"):
         read_document(tmp_path / "nothing.xml")
-    with pytest.raises(InputError, match="cannot read"):
+    with refused("cannot read"):
         read_document(tmp_path / "a\0b")
 
 
@@ -122,9 +122,8 @@ def test_includes_are_found_where_mujoco_finds_them(tmp_path, files, bodies):
     ],
 )
 def test_includes_that_fail_are_one_line(tmp_path, files, message):
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(message, ModelError):
         read_document(write_files(tmp_path, files))
-    assert "\n" not in str(caught.value)
 
 
 def test_the_hash_is_that_of_the_file_and_covers_includes(tmp_path):
@@ -134,14 +133,6 @@ def test_the_hash_is_that_of_the_file_and_covers_includes(tmp_path):
     outer = read_document(write_files(tmp_path, {"n.xml": main})).sha256
     write_files(tmp_path, {"m.xml": BODY.format("y")})
     assert read_document(tmp_path / "n.xml").sha256 != outer
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
-def test_a_pipe_is_not_waited_for(tmp_path):
-    path = tmp_path / "model.xml"
-    os.mkfifo(path)
-    with pytest.raises(InputError, match="is a pipe or a device"):
-        read_document(path)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
@@ -156,7 +147,7 @@ def test_nothing_of_a_file_that_is_no_model_is_shown(tmp_path):
     path = write_files(
         tmp_path / "model", {"m.xml": '<mujoco><include file="../secret"/></mujoco>'}
     )
-    with pytest.raises(ModelError, match="secret is not XML") as caught:
+    with refused("secret is not XML", ModelError) as caught:
         read_document(path)
     assert "hunter2" not in str(caught.value)
 
@@ -166,7 +157,7 @@ def test_nothing_of_a_file_that_is_no_model_is_shown(tmp_path):
 def test_marks_that_never_end_take_no_longer_than_their_length(tmp_path, mark):
     path = tmp_path / "model.xml"
     path.write_text("<mujoco>" + mark * 250_000, encoding="utf-8")
-    with pytest.raises(ModelError, match="is not XML"):
+    with refused("is not XML", ModelError):
         read_document(path)
 
 

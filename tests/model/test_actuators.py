@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.releases import MUJOCO, since
 from robot_sysid.model import actuators as module
@@ -130,7 +131,7 @@ def commanded_actuators(draw):
 )
 def test_a_joints_torque_limit_is_what_forward_dynamics_keeps(actuators, of_joint):
     model = arm("".join(actuators), of_joint)
-    np.testing.assert_allclose(limits_of(model), expected_limits(model), rtol=1e-9)
+    assert_allclose(limits_of(model), expected_limits(model), rtol=1e-9)
 
 
 def expected_limits(model):
@@ -149,7 +150,7 @@ def test_commands_are_counted_apart_from_actuators():
     several = '<pid joint="a" input="pos vel ff" forcerange="-2 2"/>'
     none = '<dcmotor joint="a" input="none" resistance="1" motorconst="0" lugre="9 1 2 3 .1"/>'
     for actuators in (motors, [several, *motors[1:]], [none, *motors], [*motors, none]):
-        np.testing.assert_array_equal(limits_of(arm("".join(actuators))), [2, 3, 4])
+        assert_array_equal(limits_of(arm("".join(actuators))), [2, 3, 4])
 
 
 def test_a_setpoints_range_bounds_no_torque():
@@ -158,7 +159,7 @@ def test_a_setpoints_range_bounds_no_torque():
         '<velocity joint="b" kv="10" ctrlrange="-1 1"/>'
         '<intvelocity joint="c" kp="10" actrange="-1 1"/>'
     )
-    np.testing.assert_array_equal(limits_of(arm(servos)), np.inf)
+    assert_array_equal(limits_of(arm(servos)), np.inf)
 
 
 @since(3, 1)
@@ -181,7 +182,7 @@ def test_a_dc_motors_limit_is_what_it_comes_to_with_inductance():
     data.ctrl[:] = -20.0
     for _ in range(200):  # of 2 ms, 40 time constants
         mujoco.mj_step(model, data)
-    np.testing.assert_allclose(limits_of(model)[0], -data.qfrc_actuator[0], rtol=1e-6)
+    assert_allclose(limits_of(model)[0], -data.qfrc_actuator[0], rtol=1e-6)
 
 
 def test_a_tendons_own_limit_counts():
@@ -190,8 +191,8 @@ def test_a_tendons_own_limit_counts():
         model = arm('<motor tendon="t" ctrlrange="-3 3"/>', t=limited)
     except ValueError:
         pytest.skip("this release has no limit of a tendon's force")
-    np.testing.assert_allclose(limits_of(model), [2.0, 0.5, np.inf])
-    np.testing.assert_allclose(limits_of(model), forward_limits(model))
+    assert_allclose(limits_of(model), [2.0, 0.5, np.inf])
+    assert_allclose(limits_of(model), forward_limits(model))
 
 
 SERVOS = [
@@ -240,12 +241,10 @@ def test_rotors_and_damping_of_actuators_act_the_same_in_joints(actuators):
     for _ in range(5):
         motion = rng.normal(size=(3, model.nv))
         expected = inverse_torque(model, *motion)
-        np.testing.assert_allclose(
-            inverse_torque(folded, *motion), expected, rtol=1e-12
-        )
-    np.testing.assert_array_equal(model.dof_armature, original)
+        assert_allclose(inverse_torque(folded, *motion), expected, rtol=1e-12)
+    assert_array_equal(model.dof_armature, original)
     folded.actuator_armature[:] = 0.0
-    np.testing.assert_allclose(inverse_torque(folded, *motion), expected, rtol=1e-12)
+    assert_allclose(inverse_torque(folded, *motion), expected, rtol=1e-12)
 
 
 def test_a_model_without_rotors_of_actuators_stays_itself():

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs import urdf
+from rigs.refusals import refused
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.parser import load_robot_model
@@ -40,24 +41,17 @@ def arm(folder, mass=1.0, inertia=1.0, length=1.0, changed=LINKS, is_placeholder
     [(1.0, 1e6), (1.0, 1e9), (1.0, 1e4), (1e3, 1.0), (1e3, 1e9), (1e-3, 1.0)],
 )
 def test_masses_and_inertias_in_other_units_are_refused(tmp_path, mass, inertia):
-    with pytest.raises(
-        ModelError, match="which no arm has; state masses in kg"
-    ) as caught:
+    with refused("which no arm has; state masses in kg", ModelError):
         load_robot_model(arm(tmp_path, mass, inertia))
-    assert "\n" not in str(caught.value)
 
 
 def test_lengths_in_millimetres_are_refused(tmp_path):
     path = arm(tmp_path, length=1000.0)
-    with pytest.raises(
-        ModelError, match="joints add up to 600 m, .*: these lengths fit"
-    ):
+    with refused("joints add up to 600 m, .*: these lengths fit", ModelError):
         load_robot_model(path)
     text = path.read_text().replace("0 0 200.0", "0 0 0.2")
     path.write_text(text)
-    with pytest.raises(
-        ModelError, match=r"centres of mass lie 112 m .*: these lengths"
-    ):
+    with refused(r"centres of mass lie 112 m .*: these lengths", ModelError):
         load_robot_model(path)
 
 

@@ -17,6 +17,7 @@ import pytest
 
 from rigs.model_files import LFS_POINTER
 from rigs.places import ROOT
+from rigs.refusals import refused
 from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import (
     atomic_files,
@@ -151,7 +152,7 @@ def test_a_failed_group_leaves_nothing_not_even_its_folder(tmp_path):
         outputs.write(tmp_path / "new" / "deep" / "a.txt", "a")
         outputs.write(tmp_path / "b.txt", b"b")
         raise KeyboardInterrupt
-    full = pytest.raises(InputError, match="cannot write .*: No space left on device")
+    full = refused("cannot write .*: No space left on device")
     with (
         full,
         atomic_files() as outputs,
@@ -207,10 +208,10 @@ def test_a_path_that_cannot_be_written_is_one_line(tmp_path):
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     assert plan_settings(tmp_path) == {}
     path = tmp_path / "trajectory.toml"
-    with pytest.raises(InputError, match="cannot read"):
+    with refused("cannot read"):
         read_toml(path)
     path.write_text("path = ")
-    with pytest.raises(InputError, match="cannot read .*trajectory.toml: "):
+    with refused("cannot read .*trajectory.toml: "):
         read_toml(path)
     # A next step is made of it after a run, whose own words are to be read.
     assert plan_settings(tmp_path) == {}
@@ -223,9 +224,8 @@ def test_what_is_no_json_is_refused_in_one_line(tmp_path, text):
     path = tmp_path / "a.json"
     if text is not None:
         path.write_bytes(text)
-    with pytest.raises(InputError, match="cannot read .*a.json: .*; do this") as caught:
+    with refused("cannot read .*a.json: .*; do this"):
         read_json(path, "do this")
-    assert "\n" not in str(caught.value)
 
 
 def test_an_integer_beyond_all_floats_is_infinite(tmp_path):
@@ -259,11 +259,9 @@ def test_files_folders_and_what_is_not_there_are_left_alone(tmp_path):
 def test_a_device_is_neither_read_nor_replaced(tmp_path, pipe):
     (tmp_path / "null").symlink_to(os.devnull)
     for path in (pipe, tmp_path / "null"):
-        with pytest.raises(InputError, match="is a pipe or a device; do this"):
+        with refused("is a pipe or a device; do this"):
             read_json(path, "do this")
-        with pytest.raises(
-            InputError, match="is a pipe or a device; choose another name"
-        ):
+        with refused("is a pipe or a device; choose another name"):
             write_atomically(path, "content")
     assert not (tmp_path / "null").is_file() and pipe.is_fifo()
 
@@ -272,5 +270,5 @@ def test_a_pointer_of_lfs_is_no_file_to_read(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(LFS_POINTER.replace("\n", "\r\n").encode())
     for read in (read_toml, partial(read_json, remedy="do this")):
-        with pytest.raises(InputError, match="a is a pointer of Git LFS.*git lfs pull"):
+        with refused("a is a pointer of Git LFS.*git lfs pull"):
             read(path)

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from rigs.refusals import refused
 from robot_sysid.errors import InputError
 from robot_sysid.records.option_fields import (
     CONSTANTS,
@@ -141,9 +142,7 @@ def test_one_number_serves_all_joints():
     ):
         assert joint_values(values, 2, "noise").tolist() == expected
     for numbers in ((1.0, 2.0), ()):
-        with pytest.raises(
-            InputError, match="noise takes one number, or one per joint"
-        ):
+        with refused("noise takes one number, or one per joint"):
             joint_values(numbers, 3, "noise")
 
 
@@ -180,11 +179,9 @@ def test_a_file_is_read_by_joint_names(tmp_path):
     assert_array_equal(
         joint_factors(parse_factors(str(path)), JOINTS, CONSTANTS)[0], [1.0, 2.0, 3.0]
     )
-    with pytest.raises(InputError, match="holds no torque_scale"):
+    with refused("holds no torque_scale"):
         joint_factors(path, JOINTS, SCALE)
-    with pytest.raises(
-        InputError, match="no torque_constants of joint hand; it lists wrist"
-    ):
+    with refused("no torque_constants of joint hand; it lists wrist"):
         joint_factors(path, ("hand",), CONSTANTS)
 
 
@@ -202,15 +199,13 @@ DAMAGED = {
 def test_a_damaged_file_is_refused_with_the_reason(tmp_path, text):
     path = tmp_path / "scale.json"
     path.write_text(text)
-    with pytest.raises(InputError, match=DAMAGED[text]):
+    with refused(DAMAGED[text]):
         read_factors(path)
 
 
 def test_factors_that_are_no_numbers_or_too_few_are_refused():
-    with pytest.raises(InputError, match="neither a number"):
+    with refused("neither a number"):
         parse_factors("nofile.json")
-    with pytest.raises(
-        InputError, match="--torque-scale takes one number, or one per joint"
-    ):
+    with refused("--torque-scale takes one number, or one per joint"):
         joint_factors((1.0, 2.0), JOINTS, SCALE)
     assert check_factor(-1.0) and check_factor(0.0) and not check_factor(1.3)
