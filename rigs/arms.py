@@ -22,6 +22,7 @@ from robot_sysid.solver import LastLinkTerms, exact_recording
 X = "1 0 0"
 Y = "0 1 0"
 Z = "0 0 1"
+THREE_AXES = (Z, Y, X)
 SEVEN_AXES = (Z, Y, Z, Y, Z, Y, Z)
 LINK = '<inertial pos=".01 -.02 .1" mass="1.2" fullinertia=".02 .021 .004 .001 -.0005 .0007"/>'
 TIP = '<inertial pos=".02 .03 .06" mass=".8" fullinertia=".005 .006 .003 .0004 -.0003 .0005"/>'
@@ -65,7 +66,12 @@ def serial_bodies(
 
 
 def serial_arm(
-    axes, tip="", option="", extra="", joint='range="-2.5 2.5"', tip_inertial=TIP
+    axes=THREE_AXES,
+    tip="",
+    option="",
+    extra="",
+    joint='range="-2.5 2.5"',
+    tip_inertial=TIP,
 ):
     """A whole model with one serial arm."""
     return world(serial_bodies(axes, tip, joint, "", tip_inertial), option, extra)
@@ -83,7 +89,7 @@ def fingers(joint='type="slide" axis="0 1 0" range="0 .04"'):
 
 
 SEVEN = serial_arm(SEVEN_AXES, joint='range="-2.5 2.5" frictionloss=".4" damping=".1"')
-THREE = serial_arm((Z, Y, X))
+THREE = serial_arm()
 SLIDE_IN_CHAIN = world(
     link(
         hinge("turn", Z),
@@ -115,7 +121,7 @@ SHARED_BODIES = world(
         "shoulder",
     )
 )
-UNLIMITED = serial_arm((Z, Y, X), joint="")
+UNLIMITED = serial_arm(joint="")
 NAMELESS = world(
     link(hinge("", Z), link(hinge("", Y), link(hinge("", X), inertial=TIP)))
 )
@@ -146,28 +152,22 @@ MASSLESS_TIP = serial_arm(
     "</body></body>",
     tip_inertial="",
 )
-TILTED_GRAVITY = serial_arm((Z, Y, X), option='gravity="3 -4 8"')
+TILTED_GRAVITY = serial_arm(option='gravity="3 -4 8"')
 NO_GRAVITY = THREE.replace("<option />", '<option><flag gravity="disable"/></option>')
-IN_WATER = serial_arm((Z, Y, X), option='density="1000" viscosity=".1" wind="1 2 0"')
-ARMATURE = serial_arm((Z, Y, X), joint='range="-2.5 2.5" armature=".3"')
-DRY_FRICTION = serial_arm(
-    (Z, Y, X), joint='range="-2 2" frictionloss="1.5" damping="2"'
-)
-SPRINGS = serial_arm(
-    (Z, Y, X), joint='range="-2 2" stiffness="30" springref=".7" damping=".5"'
-)
+IN_WATER = serial_arm(option='density="1000" viscosity=".1" wind="1 2 0"')
+ARMATURE = serial_arm(joint='range="-2.5 2.5" armature=".3"')
+DRY_FRICTION = serial_arm(joint='range="-2 2" frictionloss="1.5" damping="2"')
+SPRINGS = serial_arm(joint='range="-2 2" stiffness="30" springref=".7" damping=".5"')
 TENDON_SPRING = serial_arm(
-    (Z, Y, X),
     extra='<tendon><fixed stiffness="25" springlength=".2" damping="3"><joint joint="joint1" '
-    'coef="1"/><joint joint="joint2" coef="-.5"/></fixed></tendon>',
+    'coef="1"/><joint joint="joint2" coef="-.5"/></fixed></tendon>'
 )
 SHARED_MOTOR = serial_arm(
-    (Z, Y, X),
     extra='<tendon><fixed armature=".03" damping=".4" frictionloss="1.5"><joint joint="joint1" '
-    'coef="1"/><joint joint="joint2" coef="-2"/></fixed></tendon>',
+    'coef="1"/><joint joint="joint2" coef="-2"/></fixed></tendon>'
 )
 EQUALITY_ON_CHAIN = serial_arm(
-    (Z, Y, X), extra='<equality><joint joint1="joint1" joint2="joint2"/></equality>'
+    extra='<equality><joint joint1="joint1" joint2="joint2"/></equality>'
 )
 HOME_KEYFRAME = serial_arm(
     (Z, Y, X, Z),
@@ -175,7 +175,7 @@ HOME_KEYFRAME = serial_arm(
     extra='<keyframe><key name="other" qpos="0 0 0 0 0 0"/>'
     '<key name="home" qpos=".1 .2 .3 .4 .03 .01"/></keyframe>',
 )
-NONLINEAR_DAMPING = serial_arm((Z, Y, X), joint='range="-2 2" damping=".5 .3 .2"')
+NONLINEAR_DAMPING = serial_arm(joint='range="-2 2" damping=".5 .3 .2"')
 
 MODELS = {
     "seven": SEVEN,
@@ -196,7 +196,7 @@ MODELS = {
     "springs": SPRINGS,
     "tendon spring": TENDON_SPRING,
     "equality on chain": EQUALITY_ON_CHAIN,
-    "limits violated": serial_arm((Z, Y, X), joint='range=".5 .6"'),
+    "limits violated": serial_arm(joint='range=".5 .6"'),
     "home keyframe": HOME_KEYFRAME,
     "discrete inverse": THREE.replace(
         "<option />",
@@ -207,13 +207,12 @@ MODELS = {
 NEWER_MODELS = {
     "nonlinear damping": NONLINEAR_DAMPING,
     "nonlinear spring": serial_arm(
-        (Z, Y, X), joint='range="-2 2" stiffness="5 2 1" springref=".3"'
+        joint='range="-2 2" stiffness="5 2 1" springref=".3"'
     ),
     "tendon armature": TENDON_SPRING.replace("<fixed ", '<fixed armature=".2" '),
     "shared motor": SHARED_MOTOR,
     "actuator armature": serial_arm(
-        (Z, Y, X),
-        extra='<actuator><motor joint="joint2" armature=".05" damping=".4"/></actuator>',
+        extra='<actuator><motor joint="joint2" armature=".05" damping=".4"/></actuator>'
     ),
 }
 

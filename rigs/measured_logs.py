@@ -11,7 +11,7 @@ from robot_sysid.trajectory import generate_excitation_trajectory
 RATE = 200.0
 DURATION = 10.0
 JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
-XML = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+XML = arms.serial_arm(joint=JOINT)
 """The arm that makes the logs."""
 CUTOFF = 8.0
 

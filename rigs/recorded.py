@@ -39,13 +39,11 @@ _DEFINITIONS = {
 
 def typestore(storage: str = ""):
     """The message types of a ROS release, of ROS 1 for "ROS1", and those that tests need."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(
-        Stores.ROS1_NOETIC if storage == "ROS1" else Stores.ROS2_HUMBLE
-    )
+    typesys = pytest.importorskip("rosbags.typesys")
+    release = "ROS1_NOETIC" if storage == "ROS1" else "ROS2_HUMBLE"
+    store = typesys.get_typestore(typesys.Stores[release])
     for name, text in {**DEFINITIONS, **_DEFINITIONS}.items():
-        store.register(get_types_from_msg(text, name))
+        store.register(typesys.get_types_from_msg(text, name))
     return store
 
 
@@ -176,9 +174,8 @@ def write_data_set(
         features: name of a feature to the names of its numbers and their array (N, k), of which
             each episode has an equal part.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
     chunk = root / "data" / "chunk-000"
     chunk.mkdir(parents=True)
     (root / "meta").mkdir()
@@ -237,9 +234,7 @@ def npz(folder: Path, data: Recording) -> Path:
 
 
 def hdf5(folder: Path, data: Recording) -> Path:
-    import h5py
-
-    with h5py.File(folder / "log.hdf5", "w") as file:
+    with pytest.importorskip("h5py").File(folder / "log.hdf5", "w") as file:
         file.update(arrays_of(data))
     return folder / "log.hdf5"
 
@@ -251,8 +246,7 @@ def matlab(folder: Path, data: Recording) -> Path:
 
 def arrow(data: Recording):
     """A table of Arrow: time in dates, positions as lists, a column per torque, and text."""
-    import pyarrow as pa
-
+    pa = pytest.importorskip("pyarrow")
     nanoseconds = np.round(1e9 * data.time).astype(int)
     columns = {
         "time": np.datetime64("2024-05-01T12:00:00", "ns") + nanoseconds,
@@ -266,10 +260,10 @@ def arrow(data: Recording):
 
 
 def parquet(folder: Path, data: Recording) -> Path:
-    import pyarrow.parquet as pq
-
-    pq.write_table(arrow(data), folder / "log.parquet", row_group_size=7)
-    return folder / "log.parquet"
+    table = arrow(data)
+    path = folder / "log.parquet"
+    pytest.importorskip("pyarrow.parquet").write_table(table, path, row_group_size=7)
+    return path
 
 
 def libfranka(folder: Path, data: Recording) -> Path:

@@ -23,14 +23,11 @@ COMPILED = 1e-14 if MUJOCO >= (3, 14) else 3e-8
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
 
 sys.path.insert(0, str(EXAMPLE))
-shapes = importlib.import_module("shapes")
-gen3 = importlib.import_module("gen3")
-links = importlib.import_module("links")
-make_model = importlib.import_module("make_model")
-validate_regressor = importlib.import_module("validate_regressor")
-validate_identification = importlib.import_module("validate_identification")
-validate_measurements = importlib.import_module("validate_measurements")
-validate_uncertainty = importlib.import_module("validate_uncertainty")
+SCRIPTS = "shapes gen3 links make_model validate_regressor validate_identification "
+SCRIPTS += "validate_measurements validate_uncertainty"
+modules = map(importlib.import_module, SCRIPTS.split())
+shapes, gen3, links, make_model, validate_regressor, *others = modules
+validate_identification, validate_measurements, validate_uncertainty = others
 sys.path.remove(str(EXAMPLE))
 
 

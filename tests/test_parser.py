@@ -108,7 +108,7 @@ def test_a_weightless_link_is_refused():
 
 def test_a_tie_between_bodies_is_told():
     tie = '<equality><weld body1="link0" body2="link2"/></equality>'
-    (note,) = robot_of(serial_arm((Z, Y, X), extra=tie)).notes
+    (note,) = robot_of(serial_arm(extra=tie)).notes
     assert "weld constraints are ignored" in note
 
 

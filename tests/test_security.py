@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rigs.arms import X, Y, Z, serial_arm
+from rigs.arms import serial_arm
 from rigs.places import ROOT
 
 DOCUMENTS = "mjcf/test_documents.py::"
@@ -106,7 +106,7 @@ LINES = (
 @pytest.mark.slow
 def test_files_are_written_where_a_command_says_and_no_network_is_opened(tmp_path):
     pytest.importorskip("matplotlib")
-    (tmp_path / "arm.xml").write_text(serial_arm((Z, Y, X), joint=JOINT))
+    (tmp_path / "arm.xml").write_text(serial_arm(joint=JOINT))
     home = tmp_path / "home"
     temporary = tmp_path / "temporary"
     home.mkdir()

@@ -26,7 +26,7 @@ from robot_sysid.motion.search import Design
 from robot_sysid.parser import load_robot_model
 
 JOINT = 'range="-2 2" armature=".02"'
-SMALL = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+SMALL = arms.serial_arm(joint=JOINT)
 ZOO = [
     ("kinova_gen3/gen3_official.xml", None),
     ("franka_panda/panda.xml", None),
@@ -147,8 +147,6 @@ def test_public_arms_are_led_to_the_file_and_to_the_card(short_search, model, jo
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("log", DRIVER_LOGS, ids=lambda log: log.name)
 def test_a_drivers_recording_leads_to_the_file(short_search, log):
-    for library in ("rosbags", "pyarrow"):
-        pytest.importorskip(library)
     if log.is_public and not MODELS.is_dir():
         pytest.skip("the public models are not here")
     robot = log.robot(Path())
@@ -163,7 +161,6 @@ def test_a_drivers_recording_leads_to_the_file(short_search, log):
 @pytest.mark.parametrize("log", UNWEIGHED_LOGS, ids=lambda log: log.name)
 def test_motor_currents_lead_over_a_known_mass_to_the_file(short_search, log):
     """Nothing is fitted to currents before a known mass has shown what an ampere is worth."""
-    pytest.importorskip("rosbags")
 
     def record_again(path, load):
         folder = Path("with a weight")
@@ -183,7 +180,6 @@ def test_motor_currents_lead_over_a_known_mass_to_the_file(short_search, log):
 @pytest.mark.skipif(not SO101.exists(), reason="the public models are not here")
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_positions_and_goals_of_a_servo_arm_lead_to_the_file(short_search, version):
-    pytest.importorskip("pyarrow")
     arm = TrueArm(load_robot_model(SO101))
     walk = walk_from_recording(so101_data_set(Path(), version), SO101, arm)
     assert walk.refused == walk.steps[:1]

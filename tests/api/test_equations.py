@@ -14,7 +14,7 @@ from rigs.refusals import refused
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy
 
 JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
-TEXT = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+TEXT = arms.serial_arm(joint=JOINT)
 
 
 def motion(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,10 +20,8 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import InertialParameters
 from robot_sysid.results.table import ORIGIN
 
-AXES = (arms.Z, arms.Y, arms.X)
-XML = arms.serial_arm(AXES, joint=JOINT)
 HEAVY = arms.serial_arm(
-    AXES, joint=JOINT, tip_inertial=arms.TIP.replace('mass=".8"', 'mass="1.6"')
+    joint=JOINT, tip_inertial=arms.TIP.replace('mass=".8"', 'mass="1.6"')
 )
 TERMS = "coulomb-viscous-offset-armature"
 QUICK = ("--friction-model", TERMS)
@@ -36,7 +34,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def logs(plant, tmp_path_factory):
-    """Two logs of an arm like XML."""
+    """Two logs of the arm."""
     folder = tmp_path_factory.mktemp("logs")
     paths = [folder / name for name in ("a.csv", "b.csv")]
     for seed, path in enumerate(paths):

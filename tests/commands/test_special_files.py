@@ -100,9 +100,7 @@ def bounds(seconds, memory):
 def files(tmp_path_factory):
     """A folder with what the commands read."""
     folder = tmp_path_factory.mktemp("files")
-    (folder / "arm.xml").write_text(
-        arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
-    )
+    (folder / "arm.xml").write_text(arms.serial_arm(joint=JOINT))
     (folder / "two.xml").write_text(arms.serial_arm((arms.Z, arms.Y)))
     measured = log_of(true_arm(), noise_torque=0.1)
     rows = np.column_stack((measured.time, measured.q, measured.tau))

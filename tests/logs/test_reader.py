@@ -48,7 +48,7 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        (None, "cannot read the log"),
+        (b"a remark on the arm\nand another one here\n", ""),
         (b"# only\n# comments\n", "holds no rows"),
         (b"time,q1,q2,q3,tau1,tau2,tau3\n", "header but no rows"),
         (b"\x00\x01\x02binary", "no form that is known"),
@@ -56,9 +56,9 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
 )
 def test_files_without_a_table_are_refused(tmp_path, content, fault):
     path = tmp_path / "log.csv"
-    if content is not None:
-        path.write_bytes(content)
-    assert_refused(fault, path)
+    assert_refused("cannot read the log", path)
+    path.write_bytes(content)
+    assert_refused(f"log.csv.*{fault}", path)
 
 
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
@@ -82,8 +82,6 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(
 
 @pytest.mark.parametrize("form", recorded.FORMS)
 def test_every_form_reads_the_same_without_options(tmp_path, form):
-    for library in ("rosbags", "pyarrow", "h5py"):
-        pytest.importorskip(library)
     log = read_measurements(recorded.FORMS[form](tmp_path, DATA), JOINTS)
     assert_samples(DATA, log, ("time", "q", "qd", "tau"), atol=1e-12)
 
@@ -150,7 +148,6 @@ def test_whatever_a_library_raises_is_an_input_error_that_names_the_file(
     tmp_path, table_reader, fault
 ):
     write_form, called_first, called_later = FILES_AND_CALLS[table_reader]
-    pytest.importorskip(called_first.partition(".")[0])
 
     def fail(*_, **__):
         raise fault
@@ -190,14 +187,7 @@ def test_a_pointer_of_lfs_is_named_under_any_name_and_in_a_folder(tmp_path, file
     assert_refused(fault, tmp_path / name.split("/")[0])
 
 
-def test_a_text_without_numbers_is_no_defect(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("a remark on the arm\nand another one here\n")
-    assert_refused("log.csv: ", path)
-
-
 def test_a_library_that_is_missing_is_named_with_the_command(tmp_path, monkeypatch):
-    pytest.importorskip("rosbags")
     path = recorded.FORMS["ROS 1 bag"](tmp_path, DATA)
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(InputError, match=r'\n  pip install -e ".*\[rosbag\]"$'):

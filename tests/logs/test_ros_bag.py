@@ -20,7 +20,6 @@ DATA = motion(60)
 
 def write_bag(path, rows):
     """A bag with one message per row: time, joints' names, q, qd and tau."""
-    pytest.importorskip("rosbags")
     return recorded.write_bag(path, [("/joint_states", recorded.STATE, states(rows))])
 
 
@@ -64,7 +63,6 @@ def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
 
 
 def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_path):
-    pytest.importorskip("rosbags")
     gripper = [(t, ["f"], [0.0], [0.0], [0.0]) for t in DATA.time]
     desired = [(t, JOINTS, q, None, None) for t, q in zip(DATA.time, DATA.q)]
     measured = recorded.shuffled_states(DATA)
@@ -99,7 +97,6 @@ def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
 
 def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
     """As Franka's in the .db3 of ROS 2 Humble; alone, it is refused with what to do."""
-    pytest.importorskip("rosbags")
     topics = [
         ("/franka/robot_state", recorded.FRANKA, recorded.franka_states(DATA)),
         ("/joint_states", recorded.STATE, recorded.shuffled_states(DATA)),

@@ -22,7 +22,6 @@ DATA = Recording(np.array([0.5]), ANGLES[None], 0.1 * ANGLES[None], 2.0 * ANGLES
     ],
 )
 def test_a_makers_message_is_read(message_type, messages, joint, stamp):
-    pytest.importorskip("rosbags")
     ((_, message),) = messages(DATA)(typestore().types)
     sample = READERS[message_type](message)
     for number, angle in enumerate(ANGLES, start=1):

@@ -184,14 +184,13 @@ CHANGE = ModelChange((), 1.23e-4, gravity=TURNED)
 WRITTEN = 'gravity="0.30000000000000004 -1.5 -9.6"'
 
 
-def change_gravity(tmp_path, files, change=CHANGE):
+def change_gravity(tmp_path, text):
     """The text that is written, after MuJoCo has read it with this gravity in another folder."""
     target = tmp_path / "out" / "m.xml"
-    write_and_verify(write_files(tmp_path / "in", files), change, target)
-    assert_array_equal(
-        mujoco.MjModel.from_xml_path(str(target)).opt.gravity, change.gravity
-    )
-    assert_array_equal(compile_model(target).mj_model.opt.gravity, change.gravity)
+    write_and_verify(write_files(tmp_path / "in", {"m.xml": text}), CHANGE, target)
+    mj_model = mujoco.MjModel.from_xml_path(str(target))
+    assert_array_equal(mj_model.opt.gravity, TURNED)
+    assert_array_equal(compile_model(target).mj_model.opt.gravity, TURNED)
     return target.read_text()
 
 
@@ -214,7 +213,7 @@ def with_options(*options):
     ],
 )
 def test_the_option_that_counts_is_changed(tmp_path, options, expected):
-    text = change_gravity(tmp_path, {"m.xml": with_options(*options)})
+    text = change_gravity(tmp_path, with_options(*options))
     lines = [line for line in text.splitlines() if "option" in line]
     assert lines == expected
     gravity = "0 0 -9.8" if "9.8" in "".join(options) else "0 0 -9.81"
@@ -251,7 +250,7 @@ def test_a_urdf_states_it_in_the_part_that_mujoco_reads(tmp_path, extension):
 def test_gravity_that_is_switched_off_is_refused(tmp_path):
     off = with_options('<option><flag gravity="disable"/></option>')
     with refused("switches gravity off", ExportError):
-        change_gravity(tmp_path, {"m.xml": off})
+        change_gravity(tmp_path, off)
 
 
 # A child body before the joint of its parent, frames, joints elsewhere in the file.
@@ -275,7 +274,7 @@ MIXED = f"""<mujoco>
 """
 
 
-def with_joints(document, *changes):
+def write_elements(document, *changes):
     for change in changes:
         write_element(document, change, 0.0)
     return document.text().decode()
@@ -285,7 +284,7 @@ def with_joints(document, *changes):
 @since(3, 1)
 def test_a_joint_is_found_by_its_name(tmp_path, joint):
     numbers = {"armature": 1.25, "damping": 2.5, "frictionloss": 3.75}
-    text = with_joints(
+    text = write_elements(
         document_of(tmp_path, MIXED), ElementChange("joint", joint, numbers)
     )
     original = mujoco.MjModel.from_xml_string(MIXED)
@@ -301,7 +300,7 @@ def test_a_joint_is_found_by_its_name(tmp_path, joint):
 def test_a_joint_that_would_drive_itself_is_refused(tmp_path, numbers):
     document = document_of(tmp_path, MIXED)
     with refused("joint 'out' cannot get .*drive itself", ExportError):
-        with_joints(document, ElementChange("joint", "out", numbers))
+        write_elements(document, ElementChange("joint", "out", numbers))
 
 
 SERVOS = f"""<mujoco>
@@ -315,16 +314,15 @@ SERVOS = f"""<mujoco>
 
 
 def write_gains(document, actuator, **numbers):
-    write_element(document, ElementChange("actuator", actuator, numbers), 0.0)
+    """Return the text with these gains."""
+    return write_elements(document, ElementChange("actuator", actuator, numbers))
 
 
 @since(3, 1)
 def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
-    path = write_files(tmp_path, {"arm.xml": SERVOS})
-    document = read_document(path)
+    document = document_of(tmp_path, SERVOS)
     write_gains(document, 1, kp=40.0, kv=4.0)
-    write_gains(document, 2, kp=50.0)
-    model = mujoco.MjModel.from_xml_string(document.text().decode())
+    model = mujoco.MjModel.from_xml_string(write_gains(document, 2, kp=50.0))
     original = mujoco.MjModel.from_xml_string(SERVOS)
     assert model.actuator_gainprm[:, 0].tolist() == [1.0, 40.0, 50.0]
     assert model.actuator_biasprm[1:, :3].tolist() == [
@@ -333,9 +331,8 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     ]
     assert_array_equal(model.dof_damping, original.dof_damping)
     # MuJoCo 3.0 does not know the damping of a <position>, which only a model with damping gets.
-    document = read_document(path)
-    write_gains(document, 1, kp=40.0)
-    assert document.text().decode().count("kv=") == 1
+    document = document_of(tmp_path, SERVOS)
+    assert write_gains(document, 1, kp=40.0).count("kv=") == 1
     for number in (0, 3):
         with refused(f"actuator number {number} is not written out", ExportError):
             write_gains(document, number, kp=1.0, kv=1.0)
@@ -344,11 +341,10 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
 @since(4, 0)
 def test_a_pid_controller_gets_gains_and_any_actuator_loses_its_rotor(tmp_path):
     text = SERVOS.replace('<motor joint="a"/>', '<pid joint="a" damping="1 2 3"/>')
-    document = read_document(write_files(tmp_path, {"arm.xml": text}))
+    document = document_of(tmp_path, text)
     emptied = {"armature": 0.0, "damping": 0.0}
     write_gains(document, 0, kp=40.0, kv=4.0, **emptied)
-    write_gains(document, 2, **emptied)
-    model = mujoco.MjModel.from_xml_string(document.text().decode())
+    model = mujoco.MjModel.from_xml_string(write_gains(document, 2, **emptied))
     assert model.actuator_biasprm[:, :3].tolist()[::2] == [[0, -40, -4], [0, -5, -2]]
     for name in ("armature", "damping", "dampingpoly"):
         assert not np.any(getattr(model, f"actuator_{name}"))

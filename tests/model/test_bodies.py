@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs import arms
-from rigs.arms import X, Y, Z, hinge, link, robot_of, serial_arm, world
+from rigs.arms import Y, Z, hinge, link, robot_of, serial_arm, world
 from rigs.refusals import refused
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import subtree
@@ -49,7 +49,7 @@ TIP = (
     '<site name="nail"/></body></body>'
 )
 # Turned, so that axes of the world and of the terminal body differ at rest.
-ARM = serial_arm((Z, Y, X), tip=TIP).replace('quat="1 0 0 0"', 'quat="1 .3 -.2 .5"')
+ARM = serial_arm(tip=TIP).replace('quat="1 0 0 0"', 'quat="1 .3 -.2 .5"')
 ROBOT = robot_of(ARM, joint="joint2")
 
 
@@ -102,7 +102,7 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes():
     ],
 )
 def test_what_is_called_like_a_flange_is_taken_and_said(site, flange_name):
-    flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{site}"/>')))
+    flange = find_flange(robot_of(serial_arm(tip=f'<site name="{site}"/>')))
     assert flange.name == flange_name
     is_site = flange_name.startswith("site")
     assert ("because of its name" in flange.note) == is_site
@@ -111,7 +111,7 @@ def test_what_is_called_like_a_flange_is_taken_and_said(site, flange_name):
 
 def test_a_site_and_a_body_of_one_place_are_one_flange():
     twice = '<body name="flange" pos="0 0 .1"><site name="flange_site"/></body>'
-    flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=twice)))
+    flange = find_flange(robot_of(serial_arm(tip=twice)))
     assert flange.name == "site 'flange_site'"
     assert_allclose(flange.translation, [0.0, 0.0, 0.1], rtol=0.0, atol=1e-15)
 
@@ -119,7 +119,7 @@ def test_a_site_and_a_body_of_one_place_are_one_flange():
 def test_two_places_that_could_be_the_flange_are_asked_for():
     tip = '<site name="a_flange"/><site name="b_flange" pos="0 0 .1"/>'
     with refused("site 'a_flange', site 'b_flange' could each be", ModelError) as error:
-        find_flange(robot_of(serial_arm((Z, Y, X), tip=tip)))
+        find_flange(robot_of(serial_arm(tip=tip)))
     assert "by its name" in str(error.value)
 
 

@@ -78,7 +78,7 @@ WHEELS = "".join(
     ("xml", "expected"),
     [
         (serial_arm((Z,), tip=fingers('axis="1 0 0"')), "joint0"),
-        (serial_arm((Z, Y, X), tip=HAND), "joint2"),
+        (serial_arm(tip=HAND), "joint2"),
         (
             world(
                 link(hinge("waist", Z), HEAD + serial_bodies((Z, Y, Z, Y, X)), "torso")
@@ -86,10 +86,7 @@ WHEELS = "".join(
             "joint4",
         ),
         (world(WHEELS + serial_bodies((Z, Y, X, Z))), "joint3"),
-        (
-            serial_arm((Z, Y, X)).replace('name="link2"', 'name="gripper_base_link"'),
-            "joint2",
-        ),
+        (serial_arm().replace('name="link2"', 'name="gripper_base_link"'), "joint2"),
     ],
 )
 def test_fingers_head_and_wheels_are_not_the_arm(xml, expected):
@@ -231,7 +228,7 @@ UNSTATED = (None, None, None)
 
 
 def speed_limits(joint, max_velocity):
-    model = compile_xml(serial_arm((Z, Y, X), joint=joint))
+    model = compile_xml(serial_arm(joint=joint))
     return module.joint_limits(model, ALL, max_velocity, UNSTATED).velocity
 
 
