@@ -27,12 +27,6 @@ def test_a_file_becomes_an_arm(arm_file):
     assert not np.any(robot.is_slide)
 
 
-def test_addresses_skip_what_is_not_the_arm():
-    robot = robot_of(arms.FREE_OBJECT_BESIDE)
-    assert_array_equal(robot.qpos_index, [7, 8, 9])
-    assert_array_equal(robot.dof_index, [6, 7, 8])
-
-
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_either_of_two_arms_can_be_asked_for(side):
     robot = robot_of(arms.TWO_ARMS, f"{side}_joint3")

@@ -370,7 +370,8 @@ def test_what_cannot_be_used_is_one_clear_error(call, message, model):
 
 def test_the_package_is_light_and_its_functions_survive_imports_of_their_folders():
     code = (
-        "import sys, robot_sysid as rs; light = 'numpy' not in sys.modules; "
+        "import sys, robot_sysid as rs, robot_sysid.config; dir(rs); "
+        "light = 'numpy' not in sys.modules; "
         "import robot_sysid.commands.motors; light &= 'mujoco' not in sys.modules; "
         "import robot_sysid.commands.identify, robot_sysid.pipeline.recordings; "
         "functions = [callable(getattr(rs, name)) for name in rs.__all__ if name.islower()]; "

@@ -147,13 +147,6 @@ def test_an_empty_data_set_of_hdf5_is_no_column(h5py, tmp_path):
     assert_read(path)
 
 
-def test_a_matlab_file_that_is_cut_off_is_one_line(tmp_path):
-    path = tmp_path / "log.mat"
-    savemat(path, COLUMNS, do_compression=True)
-    path.write_bytes(path.read_bytes()[:300])
-    assert_refused("log.mat as a MATLAB .mat file: ", path)
-
-
 def describe_features(path, features):
     """Write other features into the description of a data set."""
     info = path / "meta" / "info.json"

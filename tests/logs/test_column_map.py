@@ -64,7 +64,7 @@ def titled(quantity: str) -> list[str]:
 )
 def test_counting_titles_go_by_their_numbers(titles):
     columns = recognise(titles, ("base", "elbow", "wrist"))
-    assert columns.time is not None and columns.time.index == 0
+    assert columns.time.index == 0
     assert where(columns) == ([1, 2, 3], [4, 5, 6])
 
 
@@ -160,7 +160,7 @@ def test_ros_names_in_the_first_row_outrank_counting_and_its_header_the_receipt(
     row = ["1", "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"] + ["0"] * 7
     columns = recognise(titles, UR, first_row=row)
     assert where(columns) == ([6, 5, 4], [9, 8, 7])
-    assert columns.time is not None and columns.time.index == 10
+    assert columns.time.index == 10
 
 
 def test_the_columns_of_a_damiao_recording_are_known():
@@ -187,7 +187,7 @@ def test_units_in_titles_become_factors():
     columns = recognise(
         "time_ms,q1 [deg],q2 [deg],q3 [deg],qd1 (deg/s),qd2_deg_s,qd3_dps,tau1_Nm,tau2,tau3_mNm"
     )
-    assert columns.time is not None and columns.time.factor == 1e-3
+    assert columns.time.factor == 1e-3
     assert set(factors(columns.position)) == {math.pi / 180}
     assert set(factors(columns.velocity)) == {math.pi / 180}
     assert factors(columns.torque) == [1.0, 1.0, 1e-3]
@@ -200,7 +200,7 @@ def test_declared_degrees_leave_slides_alone():
         "t,q1,q2,q3,tau1,tau2,tau3", JOINTS, choices, is_slide=(False, True, False)
     )
     assert factors(columns.position) == [math.pi / 180, 1.0, math.pi / 180]
-    assert columns.time is not None and columns.time.factor == 1e-6
+    assert columns.time.factor == 1e-6
     with refused(r"q1 \[rad\].*contradicts"):
         recognise("t,q1 [rad],q2,q3,tau1,tau2,tau3", choices=choices)
 
@@ -254,7 +254,7 @@ def test_a_columns_file_names_flips_and_scales(tmp_path):
     assert where(columns) == ([3, 4, 5], [0, 1, 2])
     assert factors(columns.torque) == [-1.0, 0.5, 1.0]
     assert columns.position[0].factor == math.pi / 180
-    assert columns.time is not None and columns.time.factor == 1e-3
+    assert columns.time.factor == 1e-3
 
 
 def test_a_number_stands_in_for_a_unit_that_is_not_known(tmp_path):

@@ -97,6 +97,7 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
         (b"\x89MCAP0\r\n", "a ROS bag"),
         (b"#ROSBAG V2.0\n", "a ROS bag"),
         (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+        (b"MATLAB 5.0 MAT-file", "a MATLAB .mat file"),
         (b"PK\x03\x04", "a NumPy .npz file"),
         (b"PAR1", "a Parquet file"),
     ],

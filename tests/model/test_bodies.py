@@ -22,7 +22,7 @@ from robot_sysid.model.bodies import (
 
 
 @pytest.mark.parametrize("name", sorted(arms.MODELS))
-def test_links_weigh_together_what_the_first_joint_moves(name):
+def test_links_weigh_what_the_first_joint_moves_and_reach_to_their_centre_of_mass(name):
     robot = arms.robot_of(arms.MODELS[name])
     model = robot.mj_model
     first = robot.links[0].body_id
@@ -30,14 +30,8 @@ def test_links_weigh_together_what_the_first_joint_moves(name):
     moved = model.body_mass[list(subtree(model, first))]
     assert sum(masses) == pytest.approx(np.sum(moved), rel=1e-12)
     assert_array_equal(robot.links[-1].theta, robot.prior.theta)
-
-
-@pytest.mark.parametrize("name", sorted(arms.MODELS))
-def test_a_link_reaches_at_least_to_its_centre_of_mass(name):
-    robot = arms.robot_of(arms.MODELS[name])
-    reach = link_reach(robot)
     com = spatial.com_from_theta(robot.prior.theta)[1]
-    assert reach >= np.linalg.norm(com)
+    assert link_reach(robot) >= np.linalg.norm(com)
 
 
 TIP = (
@@ -51,6 +45,11 @@ TIP = (
 # Turned, so that axes of the world and of the terminal body differ at rest.
 ARM = serial_arm(tip=TIP).replace('quat="1 0 0 0"', 'quat="1 .3 -.2 .5"')
 ROBOT = robot_of(ARM, joint="joint2")
+
+
+def flange_of(tip):
+    """The flange of an arm that carries this."""
+    return find_flange(robot_of(serial_arm(tip=tip)))
 
 
 def world_pose(robot, object_type, name):
@@ -102,7 +101,7 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes():
     ],
 )
 def test_what_is_called_like_a_flange_is_taken_and_said(site, flange_name):
-    flange = find_flange(robot_of(serial_arm(tip=f'<site name="{site}"/>')))
+    flange = flange_of(f'<site name="{site}"/>')
     assert flange.name == flange_name
     is_site = flange_name.startswith("site")
     assert ("because of its name" in flange.note) == is_site
@@ -111,7 +110,7 @@ def test_what_is_called_like_a_flange_is_taken_and_said(site, flange_name):
 
 def test_a_site_and_a_body_of_one_place_are_one_flange():
     twice = '<body name="flange" pos="0 0 .1"><site name="flange_site"/></body>'
-    flange = find_flange(robot_of(serial_arm(tip=twice)))
+    flange = flange_of(twice)
     assert flange.name == "site 'flange_site'"
     assert_allclose(flange.translation, [0.0, 0.0, 0.1], rtol=0.0, atol=1e-15)
 
@@ -119,7 +118,7 @@ def test_a_site_and_a_body_of_one_place_are_one_flange():
 def test_two_places_that_could_be_the_flange_are_asked_for():
     tip = '<site name="a_flange"/><site name="b_flange" pos="0 0 .1"/>'
     with refused("site 'a_flange', site 'b_flange' could each be", ModelError) as error:
-        find_flange(robot_of(serial_arm(tip=tip)))
+        flange_of(tip)
     assert "by its name" in str(error.value)
 
 
