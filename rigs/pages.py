@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rigs import arms, recorded
+from rigs.log_files import read_measurements
 from rigs.places import ROOT
 from robot_sysid.cli import main
 from robot_sysid.config import SelfTestConfig
@@ -18,7 +19,7 @@ from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.motions import design_motion
-from robot_sysid.records import Recording, join_recordings
+from robot_sysid.records import join_recordings
 from robot_sysid.records.messages import Progress
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import load_plant, plant_measurements
@@ -106,12 +107,8 @@ def make_workshop(folder: Path) -> None:
 def add_recordings(folder: Path) -> None:
     """Write log.csv again as the ROS bag that a page speaks of."""
     titles = [f"joint{k}" for k in range(len(AXES))]
-    time, *values = np.loadtxt(
-        folder / "log.csv", delimiter=",", skiprows=1, unpack=True
-    )
-    q = np.transpose(values[: len(AXES)])
-    tau = np.transpose(values[len(AXES) :])
-    data = Recording(time, q, np.zeros_like(q), tau)
+    log = read_measurements(folder / "log.csv", titles)
+    data = replace(log, qd=np.zeros_like(log.q))
     messages = recorded.shuffled_states(data, titles)
     topics = [("/joint_states", recorded.STATE, messages)]
     recorded.write_bag(folder / "run1.mcap", topics, "MCAP")

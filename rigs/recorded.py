@@ -186,41 +186,43 @@ def write_data_set(
     info = {"codebase_version": version, "fps": fps, "features": described}
     (root / "meta" / "info.json").write_text(json.dumps(info))
     length = len(next(iter(features.values()))[1]) // episodes
-    tables = []
-    for episode in range(episodes):
-        rows = slice(episode * length, (episode + 1) * length)
-        columns = {}
-        for name, (_, array) in features.items():
-            values = np.asarray(array[rows], dtype)
-            columns[name] = pa.array(
-                values.tolist(), pa.list_(pa.from_numpy_dtype(dtype))
-            )
-        columns["timestamp"] = (np.arange(length) / fps).astype(dtype)
-        columns["frame_index"] = np.arange(length)
-        columns["episode_index"] = np.full(length, episode)
-        tables.append(pa.table(columns))
+    frame = np.arange(episodes * length)
+    cell_type = pa.list_(pa.from_numpy_dtype(dtype))
+    columns = {}
+    for name, (_, array) in features.items():
+        values = np.asarray(array[: len(frame)], dtype)
+        columns[name] = pa.array(values.tolist(), cell_type)
+    columns["timestamp"] = (frame % length / fps).astype(dtype)
+    columns["frame_index"] = frame % length
+    columns["episode_index"] = frame // length
+    table = pa.table(columns)
     if version.startswith("v2"):
-        for episode, table in enumerate(tables):
-            pq.write_table(table, chunk / f"episode_{episode:06d}.parquet")
+        for episode in range(episodes):
+            rows = table.slice(episode * length, length)
+            pq.write_table(rows, chunk / f"episode_{episode:06d}.parquet")
     else:
-        pq.write_table(pa.concat_tables(tables), chunk / "file-000.parquet")
+        pq.write_table(table, chunk / "file-000.parquet")
     return root
 
 
-def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Recording], Path]:
-    """A data set in degrees; several episodes repeat the motion, which has 200 Hz."""
+def lerobot_state(data: Recording, episodes: int = 1) -> tuple[Sequence[str], Any]:
+    """Return names and numbers of the state of a motion, in degrees; episodes repeat it."""
+    names = [f"{joint}.{end}" for joint in JOINTS for end in ("pos", "vel", "torque")]
+    values = (np.degrees(data.q), np.degrees(data.qd), data.tau)
+    state = np.stack(values, axis=2).reshape(len(data), -1)
+    return names, np.tile(state, (episodes, 1))
 
-    def write(folder: Path, data: Recording) -> Path:
-        ends = ("pos", "vel", "torque")
-        names = [f"{joint}.{end}" for joint in JOINTS for end in ends]
-        values = (np.degrees(data.q), np.degrees(data.qd), data.tau)
-        state = np.stack(values, axis=2).reshape(len(data), -1)
-        features = {"observation.state": (names, np.tile(state, (episodes, 1)))}
-        return write_data_set(
-            folder / "set", version, 200, features, episodes, np.float64
-        )
 
-    return write
+def lerobot(
+    folder: Path,
+    data: Recording,
+    version: str = "v2.1",
+    episodes: int = 1,
+    **features: tuple[Sequence[str], Any],
+) -> Path:
+    """A data set of a motion, which has 200 Hz, with other features beside its state."""
+    features = {"observation.state": lerobot_state(data, episodes), **features}
+    return write_data_set(folder / "set", version, 200, features, episodes, np.float64)
 
 
 def arrays_of(data: Recording) -> dict[str, Any]:
@@ -306,7 +308,7 @@ FORMS: dict[str, Callable[[Path, Recording], Path]] = {
     "ROS 1 bag": partial(rosbag, storage="ROS1"),
     "ROS 2 DynamicJointState": dynamic_joint_state,
     "ROS 2 FrankaRobotState": franka_state,
-    "LeRobot": lerobot("v2.1"),
+    "LeRobot": lerobot,
     "Parquet": parquet,
     "npz": npz,
     "HDF5": hdf5,

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from rigs import arms, schemas
+from rigs.measured_logs import log_of
 from rigs.params import rows
 from rigs.payload_logs import PAYLOAD
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulation import SimulatedArmOptions
-from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 JOINT = 'range="-2.5 2.5" frictionloss=".3" damping=".2" armature=".02"'
@@ -24,8 +23,6 @@ TOOL = (
     '<body name="tool"><inertial pos=".03 -.02 .08" mass="1.2" '
     'fullinertia=".006 .007 .004 .001 .0005 -.0004"/></body>'
 )
-RATE = 100.0
-SENSORS = SimulatedArmOptions(noise_torque=0.02)
 
 
 @pytest.fixture
@@ -38,16 +35,13 @@ def models(arm_file):
 
 def record_logs(models, swapped=False):
     """The words that ask for the payload in logs of both arms, recorded in the order ABBA."""
-    empty, loaded = (
-        load_robot_model(path) for path in (models[::-1] if swapped else models)
-    )
+    empty, loaded = map(load_robot_model, models[::-1] if swapped else models)
     plan = generate_excitation_trajectory(empty, np.random.default_rng(1), 15.0)
     paths = []
     for number, plant in enumerate((empty, loaded, loaded, empty)):
-        rng = np.random.default_rng([1, number])
-        samples = plant_measurements(plant, plan, SENSORS, RATE, rng)
+        log = log_of(plant, plan, [1, number], 100.0, noise_torque=0.02)
         paths.append(models[0].with_name(f"log{number}.csv"))
-        write_measurement_csv(paths[-1], plant.joint_names, samples)
+        write_measurement_csv(paths[-1], plant.joint_names, [log])
     logs = ("--empty", paths[0], paths[3], "--loaded", paths[1], paths[2])
     return (models[0], *logs, "--order ABBA")
 

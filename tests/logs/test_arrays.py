@@ -147,16 +147,10 @@ def test_an_empty_data_set_of_hdf5_is_no_column(h5py, tmp_path):
     assert_read(path)
 
 
-def describe_features(path, features):
-    """Write other features into the description of a data set."""
-    info = path / "meta" / "info.json"
-    info.write_text(json.dumps({**json.loads(info.read_text()), "features": features}))
-
-
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_every_episode_is_a_piece(tmp_path, version):
     long = motion(1000)
-    path = recorded.lerobot(version, 3)(tmp_path, long)
+    path = recorded.lerobot(tmp_path, long, version, 3)
     log = read_measurements(path, JOINTS)
     pieces = split_at_gaps(log)
     assert [len(piece) for piece in pieces] == [1000] * 3
@@ -178,8 +172,8 @@ def test_every_episode_is_a_piece(tmp_path, version):
     ],
 )
 def test_an_odd_description_is_refused(tmp_path, features, fault):
-    path = recorded.FORMS["LeRobot"](tmp_path, DATA)
-    describe_features(path, features)
+    path = recorded.lerobot(tmp_path, DATA)
+    (path / "meta" / "info.json").write_text(json.dumps({"features": features}))
     assert_refused(fault, path)
 
 
@@ -194,18 +188,12 @@ def test_a_data_set_of_actions_without_torque_names_the_option_that_uses_them(tm
 
 
 def test_actions_are_commands(tmp_path):
-    path = recorded.FORMS["LeRobot"](tmp_path, DATA)
-    state = json.loads((path / "meta" / "info.json").read_text())["features"]
-    (shape,) = state.values()
-    (file,) = (path / "data").rglob("*.parquet")
-    frames = pytest.importorskip("pyarrow.parquet").read_table(file)
-    columns = dict(zip(frames.column_names, frames.columns))
-    parquet(file, **columns, action=np.degrees(np.roll(DATA.q, 3, axis=0)))
-    goal = {**shape, "names": [f"{joint}.pos" for joint in JOINTS]}
-    describe_features(path, {**state, "action": goal})
+    goals = np.roll(DATA.q, 3, axis=0)
+    action = [f"{joint}.pos" for joint in JOINTS], np.degrees(goals)
+    path = recorded.lerobot(tmp_path, DATA, action=action)
     log = read_measurements(path, JOINTS, commanded=True)
     assert_allclose(log.q, DATA.q, atol=1e-9)
-    assert_allclose(log.command, np.roll(DATA.q, 3, axis=0), atol=1e-9)
+    assert_allclose(log.command, goals, atol=1e-9)
 
 
 def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(h5py, tmp_path):

@@ -206,6 +206,4 @@ def test_a_damaged_file_is_refused_with_the_reason(tmp_path, text):
 def test_factors_that_are_no_numbers_or_too_few_are_refused():
     with refused("neither a number"):
         parse_factors("nofile.json")
-    with refused("--torque-scale takes one number, or one per joint"):
-        joint_factors((1.0, 2.0), JOINTS, SCALE)
     assert check_factor(-1.0) and check_factor(0.0) and not check_factor(1.3)
