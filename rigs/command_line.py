@@ -13,6 +13,8 @@ COMMANDS = {
     for command in module.COMMANDS
 }
 """Every command by its name."""
+OUT = Path("sysid_output")
+"""Where results are written in the working folder unless another folder is named."""
 
 
 def files_in(folder: Path) -> dict[str, bytes]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from rigs.arms import TWO_ARMS, Y, serial_arm
-from rigs.command_line import files_in
+from rigs.command_line import OUT, files_in
 from rigs.places import GUESS
 from robot_sysid.cli import _message_lines, main
 from robot_sysid.errors import ColumnsError, SysidError
@@ -148,7 +148,7 @@ def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command, monkeypa
     assert "Identified parameters:" in printed.out
     assert "settotalmass" in printed.err.splitlines()[-1]
     assert "updated_model.xml of an earlier run was removed" in printed.err
-    assert set(files_in(arm.parent / "sysid_output")) == {"params.json", "run.toml"}
+    assert set(files_in(OUT)) == {"params.json", "run.toml"}
 
 
 def test_a_seed_repeats_a_run_to_the_last_bit_and_none_draws_another(arm, command):
@@ -162,11 +162,10 @@ def test_a_seed_repeats_a_run_to_the_last_bit_and_none_draws_another(arm, comman
         printed = command.run(arm, *SHORT[:4], "--json")
         seeds.add(json.loads(printed.out)["seed"])
     assert len(seeds) == 2
-    folder = arm.parent / "sysid_output"
-    params = folder / "params.json"
+    params = OUT / "params.json"
     content = params.read_bytes()
     params.unlink()
-    command.run("--config", folder / "run.toml")
+    command.run("--config", OUT / "run.toml")
     assert params.read_bytes() == content
 
 
@@ -178,7 +177,7 @@ def test_debug_shows_the_traceback(arm, command):
 def old_files(command, arm):
     """Names and contents of the result files of a run in the output folder."""
     command.run(arm, *SHORT, *EXPORT)
-    files = files_in(arm.parent / "sysid_output")
+    files = files_in(OUT)
     assert sorted(files) == WITH_OPTIONS
     return files
 
@@ -200,7 +199,7 @@ def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
     end = "robot-sysid: error: interrupted; no unfinished file is left\n"
     assert printed.err.endswith(end)
     assert sorted(order) == RESULTS and order[-1] == "updated_model.xml"
-    new_files = files_in(arm.parent / "sysid_output")
+    new_files = files_in(OUT)
     assert sorted(new_files) == RESULTS
     assert all(new_files[name] != old_files[name] for name in RESULTS)
 
@@ -213,7 +212,7 @@ def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
 
     monkeypatch.setattr("robot_sysid.results.verification.require_reproduction", stop)
     command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
-    assert files_in(arm.parent / "sysid_output") == old_files
+    assert files_in(OUT) == old_files
 
 
 def run_process(*arguments, cwd, **streams):

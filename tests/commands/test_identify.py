@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import robot_sysid as rs
 from rigs import arms, params, schemas, servo_logs
-from rigs.command_line import words_of
+from rigs.command_line import OUT, words_of
 from rigs.measured_logs import JOINT, log_of, plan_of, true_arm
 from robot_sysid.api.results import one_thread
 from robot_sysid.cli import main
@@ -81,8 +81,7 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     first, second = logs
     options = (first, "--links --validation-measurements", second, *QUICK)
     out = command.run("identify", arm_file(HEAVY), *options).out
-    folder = Path("sysid_output")
-    content = schemas.check(folder / "params.json")
+    content = schemas.check(OUT / "params.json")
     assert content["status"] == "BETTER" and content["failure"] is None
     numbers = params.rows(content)
     for name, true in zip(("link0", "link1", "link2"), plant.links):
@@ -91,7 +90,7 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
         assert row["value"] == pytest.approx(true.theta[0], rel=0.05, abs=bound)
     coulomb = numbers["joint2", "coulomb"]
     assert coulomb["value"] == pytest.approx(0.3, abs=5.0 * coulomb["error"])
-    written = load_robot_model(folder / "updated_model.xml")
+    written = load_robot_model(OUT / "updated_model.xml")
     for link in written.links:
         printed = [numbers[link.body_name, name]["value"] for name in ORIGIN]
         off = np.abs(link.theta - printed) / InertialParameters(link.theta).scale
@@ -134,7 +133,7 @@ def test_what_is_kept_stays_as_it_was(command, arm_file, logs):
     )
     keep = "--keep friction --keep rotors --keep links"
     command.run("identify", path, logs[0], keep, *QUICK)
-    content = schemas.check(Path("sysid_output/params.json"))
+    content = schemas.check(OUT / "params.json")
     assert content["file"]["kept"] == ["friction", "links", "rotors"]
     original = mujoco.MjModel.from_xml_path(str(path))
     written = mujoco.MjModel.from_xml_path("sysid_output/updated_model.xml")
@@ -175,8 +174,7 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
 ):
     path = arm_file(servo_logs.XML)
     out = command.run("identify", path, servo_log, *SERVOS).out
-    folder = Path("sysid_output")
-    content = schemas.check(folder / "servo.json")
+    content = schemas.check(OUT / "servo.json")
     assert "No torque was measured" in content["torque"] and content["torque"] in out
     rows = {(row["of"], row["name"]): row for row in content["quantities"]}
     for k, joint in enumerate(("joint0", "joint1")):
@@ -186,10 +184,10 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
             assert abs(number["value"] - true) < 4.0 * number["error"]
     rollout = content["rollout"]
     assert 3.0 * max(rollout["after"]) < max(rollout["before"])
-    written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
+    written = mujoco.MjModel.from_xml_path(str(OUT / "updated_model.xml"))
     gains = [rows[joint, "gain"]["value"] for joint in ("joint0", "joint1")]
     assert_allclose(written.actuator_gainprm[:, 0], gains, rtol=1e-6)
-    text = (folder / "updated_model.xml").read_text()
+    text = (OUT / "updated_model.xml").read_text()
     assert text.count("<inertial") == servo_logs.XML.count("<inertial")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rigs import arms, schemas
+from rigs.command_line import OUT
 from rigs.measured_logs import log_of
 from rigs.params import rows
 from rigs.payload_logs import PAYLOAD
@@ -49,8 +50,7 @@ def record_logs(models, swapped=False):
 @pytest.mark.slow
 def test_a_payload_is_found_and_written_into_the_model_as_a_body(command, models):
     printed = command.run("payload", *record_logs(models), "--as-body gripper")
-    folder = models[0].parent / "sysid_output"
-    content = schemas.check(folder / "params.json")
+    content = schemas.check(OUT / "params.json")
     numbers = rows(content)
     mass = numbers["payload", "mass"]
     assert content["status"] == "OK" and content["valid"]["trustworthy"]
@@ -62,9 +62,9 @@ def test_a_payload_is_found_and_written_into_the_model_as_a_body(command, models
     row = re.search(r"^  mass +([\d.]+) +([\d.]+) +kg$", printed.out, re.MULTILINE)
     assert row is not None
     assert float(row[1]) == pytest.approx(mass["value"], abs=0.5 * float(row[2]))
-    card = (folder / "payload_card.txt").read_text()
+    card = (OUT / "payload_card.txt").read_text()
     assert f"Payload of {row[1]} ± {row[2]} kg" in card
-    written = compile_model(folder / "updated_model.xml").mj_model
+    written = compile_model(OUT / "updated_model.xml").mj_model
     assert written.body("gripper").mass[0] == pytest.approx(mass["value"], rel=1e-9)
     theta = arms.composite_theta(written, written.qpos0, written.body("link3").id)
     whole = numbers["link3 with payload", "mass"]["value"]
@@ -78,10 +78,9 @@ def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_goo
 ):
     printed = command.run("payload", *record_logs(models, swapped=True), code=1)
     assert "look swapped" in printed.err
-    folder = models[0].parent / "sysid_output"
-    left = sorted(path.name for path in folder.iterdir())
+    left = sorted(path.name for path in OUT.iterdir())
     assert left == ["params.json", "report_data.npz", "run.toml"]
-    content = schemas.check(folder / "params.json")
+    content = schemas.check(OUT / "params.json")
     assert content["status"] == "SWAPPED" and not content["valid"]["trustworthy"]
     assert content["payload"]["card"] is None
 
@@ -95,5 +94,4 @@ def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
     # The third joint lifts the weight all the time.
     assert scales["joint1"]["value"] == pytest.approx(1.0, abs=0.01)
     assert "Torque scales by the known mass of 1.2 kg" in printed.out
-    folder = models[0].parent / "sysid_output"
-    assert not (folder / "updated_model.xml").exists()
+    assert not (OUT / "updated_model.xml").exists()

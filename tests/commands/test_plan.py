@@ -7,7 +7,7 @@ import re
 import pytest
 
 from rigs import arms, witness
-from rigs.command_line import COMMANDS, files_in
+from rigs.command_line import COMMANDS, OUT, files_in
 from robot_sysid.commands import Console
 from robot_sysid.config import PlanConfig
 from robot_sysid.motion.trajectories import load_trajectory
@@ -40,10 +40,10 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     assert (
         len(promise) <= 16 and "Ranges, and peaks of their limits:" not in printed.out
     )
-    saved = load_trajectory(path.parent / "sysid_output" / "trajectory.json")
+    saved = load_trajectory(OUT / "trajectory.json")
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")
-    file = path.parent / "sysid_output" / "trajectory.toml"
+    file = OUT / "trajectory.toml"
     values, _ = COMMANDS["plan"].parse(["--config", str(file)])
     repeated = PlanConfig.of(**values)
     assert repeated.excitation.kind == "sines"
@@ -69,11 +69,7 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     assert lines == [line for line in repeated.out.splitlines() if line in lines]
     assert "Largest values, a position from the middle of its range:" in repeated.out
     command.run("plan", path, "--trajectory plan.json --speed 0.5", *export(3))
-    rows = (
-        (path.parent / "sysid_output" / "damiao_trajectory.csv")
-        .read_text()
-        .splitlines()
-    )
+    rows = (OUT / "damiao_trajectory.csv").read_text().splitlines()
     assert rows[-1].startswith("6.0")
 
 
@@ -91,7 +87,7 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
     monkeypatch.setattr(Console, "_print_progress", interrupt)
     printed = command.run("plan", path, SHORT)
     assert "the search was ended early" in printed.err
-    assert load_trajectory(path.parent / "sysid_output" / "trajectory.json")
+    assert load_trajectory(OUT / "trajectory.json")
 
 
 def export(joints):
@@ -106,7 +102,7 @@ def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     printed = command.run("plan", path, *weak, code=1)
     assert printed.err.endswith("; nothing was written\n")
     assert "NOT KEPT: torque limit of joint" in printed.out
-    assert not (path.parent / "sysid_output").exists()
+    assert not OUT.exists()
 
 
 @pytest.mark.usefixtures("without_prediction")
@@ -152,8 +148,7 @@ def test_motions_for_other_purposes_can_be_saved_exported_and_checked_again(
     path = arm_file(arms.THREE)
     printed = command.run("plan", path, purpose, *export(3))
     assert "Keeps all limits for " in printed.out
-    folder = path.parent / "sysid_output"
-    assert (folder / "damiao_trajectory.csv").exists()
-    saved = ("--trajectory", folder / "trajectory.json", "--sample-rate 100")
+    assert (OUT / "damiao_trajectory.csv").exists()
+    saved = ("--trajectory", OUT / "trajectory.json", "--sample-rate 100")
     again = command.run("plan", path, *saved, "--output-dir again")
     assert "Trajectory saved" in again.out

@@ -8,6 +8,7 @@ import importlib.util
 import pytest
 
 from rigs import arms, measured_logs
+from rigs.command_line import OUT
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.report import page, runs
 from robot_sysid.report.runs import load_run
@@ -40,19 +41,16 @@ def test_a_missing_library_is_said_before_the_run(command, arm, monkeypatch):
 
 def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch):
     """A second run that ends while the first still counts its residuals."""
-    folder = arm.parent / "sysid_output"
     save_data = runs.save_data
 
     def slowly(*arguments):
-        (folder / "params.json").write_text((folder / "params.json").read_text() + "\n")
+        (OUT / "params.json").write_text((OUT / "params.json").read_text() + "\n")
         save_data(*arguments)
 
     monkeypatch.setattr(runs, "save_data", slowly)
     command.run(arm, "--plant-model", arm, *RUN)
-    assert (folder / "report_data.npz").is_file() and not (
-        folder / "report.html"
-    ).exists()
-    run = load_run(folder)
+    assert (OUT / "report_data.npz").is_file() and not (OUT / "report.html").exists()
+    run = load_run(OUT)
     assert run.traces is None and "belongs to another run" in run.missing
 
 
@@ -79,19 +77,18 @@ def test_a_report_that_fails_leaves_the_results(
     printed = command.run(arm, "--plant-model", arm, *RUN, option, code=code)
     assert message in printed.err and "ink is out" in printed.err
     assert "Results saved" in printed.out
-    assert (arm.parent / "sysid_output" / "updated_model.xml").is_file()
+    assert (OUT / "updated_model.xml").is_file()
 
 
 @pytest.mark.slow
 def test_a_page_and_a_comparison(command, arm):
     printed = command.run(arm, "--plant-model", arm, *RUN, "--report")
-    folder = arm.parent / "sysid_output"
-    assert "Report:" in printed.out and (folder / "report.html").is_file()
-    html = (folder / "report.html").read_bytes()
-    assert "Written" in command.run("report", folder).out
-    assert (folder / "report.html").read_bytes() == html
+    assert "Report:" in printed.out and (OUT / "report.html").is_file()
+    html = (OUT / "report.html").read_bytes()
+    assert "Written" in command.run("report", OUT).out
+    assert (OUT / "report.html").read_bytes() == html
     command.run(arm, *RUN, "--output-dir second")
-    printed = command.run("report", folder, arm.parent / "second", "--output-dir both")
+    printed = command.run("report", OUT, arm.parent / "second", "--output-dir both")
     assert "comparison.html" in printed.out
     text = (arm.parent / "both" / "comparison.html").read_text()
     assert "sysid_output" in text and "second" in text

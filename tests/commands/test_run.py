@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rigs import arms, witness
-from rigs.command_line import words_of
+from rigs.command_line import OUT, words_of
 from rigs.excitation_arms import TUBES
 from robot_sysid.cli import main
 from robot_sysid.motion.trajectories import load_trajectory
@@ -89,7 +89,7 @@ def test_a_plan_is_used_by_arms_with_its_joints_alone(command, arm):
         "plan.json was made for another model file; it is checked against"
         in printed.err
     )
-    assert (arm.parent / "sysid_output" / "damiao_trajectory.csv").exists()
+    assert (OUT / "damiao_trajectory.csv").exists()
 
 
 def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
@@ -107,11 +107,7 @@ def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
     for axis, (low, high) in zip(np.eye(3), np.reshape(box, (3, 2))):
         assert witness.distance_to_plane(robot, saved, (*axis, low), "link3") >= 0.0
         assert witness.distance_to_plane(robot, saved, (*-axis, -high), "link3") >= 0.0
-    table = np.genfromtxt(
-        arm.parent / "sysid_output" / "damiao_trajectory.csv",
-        delimiter=",",
-        skip_header=5,
-    )
+    table = np.genfromtxt(OUT / "damiao_trajectory.csv", delimiter=",", skip_header=5)
     np.testing.assert_allclose(
         table[:, 1::3], saved.evaluate(table[:, 0]).q, rtol=0.0, atol=5.1e-5
     )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rigs import arms
+from rigs.command_line import OUT
 from rigs.core_fits import filter_logs, fit_recordings
 from rigs.measured_logs import log_of, plan_of
 from robot_sysid.diagnosis.causes import beside, explanations
@@ -65,7 +66,7 @@ def test_no_command_gives_a_slide_the_units_of_a_hinge(command, robot, tmp_path)
     identified = command.run("identify arm.xml off.csv --verbose --report")
     assert "an offset of a torque sensor (lift 30 N)" in identified.err
     planned = command.run("plan arm.xml --excitation sines --duration 5 --verbose")
-    page = (tmp_path / "sysid_output" / "report.html").read_text()
+    page = (OUT / "report.html").read_text()
     cells = re.sub("<[^>]*>", " ", page.replace("</tr>", "\0").replace("\n", " "))
     texts = (identified.out, identified.err, planned.out, cells.replace("\0", "\n"))
     for text in texts:

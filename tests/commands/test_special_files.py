@@ -8,16 +8,16 @@ import re
 import signal
 import sys
 
-import numpy as np
 import pytest
 
-from rigs import arms, log_files
+from rigs import arms
 from rigs.command_line import COMMANDS
 from rigs.damiao_rig import map_line, swing, trajectory_file
-from rigs.measured_logs import JOINT, log_of, true_arm
+from rigs.measured_logs import XML, log_of, true_arm
 from robot_sysid.cli import main
 from robot_sysid.commands.arguments import Parser
 from robot_sysid.damiao.joints import write_joint_map
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 
 resource = pytest.importorskip("resource")
@@ -100,11 +100,11 @@ def bounds(seconds, memory):
 def files(tmp_path_factory):
     """A folder with what the commands read."""
     folder = tmp_path_factory.mktemp("files")
-    (folder / "arm.xml").write_text(arms.serial_arm(joint=JOINT))
+    (folder / "arm.xml").write_text(XML)
     (folder / "two.xml").write_text(arms.serial_arm((arms.Z, arms.Y)))
-    measured = log_of(true_arm(), noise_torque=0.1)
-    rows = np.column_stack((measured.time, measured.q, measured.tau))
-    log_files.write(folder / "log.csv", rows)
+    arm = true_arm()
+    log = log_of(arm, noise_torque=0.1)
+    write_measurement_csv(folder / "log.csv", arm.joint_names, [log])
     names = load_robot_model(folder / "two.xml").joint_names
     rows = [map_line(joint, k, 0x10 + k) for k, joint in enumerate(names, start=1)]
     write_joint_map(folder / "map.csv", rows)
