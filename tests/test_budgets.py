@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 3865,
     "robot_sysid/commands": 9763,
     "robot_sysid/damiao": 30130,
-    "robot_sysid/diagnosis": 15714,
+    "robot_sysid/diagnosis": 15713,
     "robot_sysid/dynamics": 3036,
     "robot_sysid/estimate": 29067,
     "robot_sysid/logs": 14553,

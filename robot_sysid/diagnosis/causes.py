@@ -10,6 +10,7 @@ Throughout, m is the number of rows of a chunk, J that of joints, B that of bloc
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -163,7 +164,7 @@ def scored(
     is_clear = gain > 3.0 * CLEAR
     is_large = level is not Level.SAYS or share > 0.005
     size = explanation.factor * _UNITS.get(explanation.unit, 1.0)
-    error = float(np.hypot(error, explanation.relative_error * value))
+    error = math.hypot(error, explanation.relative_error * value)
     number = with_error(size * abs(value), size * error, explanation.unit)
     # Values of other causes, which do not show it, may be below -1.
     inverse = f"{max(1.0 + value, 1e-9) ** -0.5:.3g}"
