@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
+
+import pytest
 
 from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.updated_model import ModelChange, changed_model_text
@@ -56,6 +60,14 @@ def write_files(folder: Path, files: dict[str, str]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content.encode())
     return folder / next(iter(files))
+
+
+def make_pipe(path: Path) -> Path:
+    """Make a named pipe and return its path; skip the test where there is none."""
+    if sys.platform == "win32":
+        pytest.skip("needs named pipes")
+    os.mkfifo(path)
+    return path
 
 
 def write_and_verify(source: Path, change: ModelChange, target: Path) -> None:

@@ -1,5 +1,7 @@
 """Small URDF files for tests."""
 
+from robot_sysid.mjcf.inertial import urdf_inertial_about_com
+
 
 def link(name, content=""):
     return f'<link name="{name}">{content}</link>'
@@ -35,6 +37,12 @@ def serial(links, fixed=()):
     kinds = ["fixed" if name in fixed else "revolute" for name in links]
     joints = map(joint, names, names[1:], kinds)
     return "\n".join([link("base"), *map(link, links, links.values()), *joints])
+
+
+def write_bodies(folder, bodies):
+    """The path of an arm of links with mass, centre of mass and inertia about that."""
+    links = {name: urdf_inertial_about_com(*body) for name, body in bodies.items()}
+    return write_arm(folder, links)
 
 
 def write_arm(folder, links, *parts):

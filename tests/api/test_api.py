@@ -144,19 +144,17 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
 
 def test_a_log_that_was_read_is_not_read_otherwise(workshop, tmp_path, model):
     log = rs.read_log(workshop / "log.csv", model, units="rad")
-    for options in (
-        {"torque_scale": 2.0},
-        {"torque_constants": 0.5},
-        {"units": "deg"},
-        {"episode": 1},
-    ):
-        (name,) = options
-        for call in (
-            lambda: rs.identify(model, log, **options),  # noqa: B023
-            lambda: rs.payload(model, log, log, **options),  # noqa: B023
-        ):
-            with refused(f"was read without {name}, or with"):
-                call()
+    others = {
+        "torque_scale": 2.0,
+        "torque_constants": 0.5,
+        "units": "deg",
+        "episode": 1,
+    }
+    for name, value in others.items():
+        with refused(f"was read without {name}, or with"):
+            rs.identify(model, log, **{name: value})
+        with refused(f"was read without {name}, or with"):
+            rs.payload(model, log, log, **{name: value})
     scaled = rs.read_log(workshop / "log.csv", model, torque_scale=1.02)
     with refused("without torque_scale, or .* give read_log"):
         rs.identify(model, scaled)

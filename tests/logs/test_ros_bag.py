@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import sqlite3
-import sys
 
 import numpy as np
-import pytest
 from numpy.testing import assert_array_equal
 
 from rigs import recorded
 from rigs.log_files import JOINTS, assert_refused, motion, read_measurements
+from rigs.model_files import make_pipe
 
 DATA = motion(60)
 
@@ -51,12 +49,11 @@ def test_what_is_not_in_one_message_or_not_in_order_is_refused(tmp_path):
     assert_refused(fault, write_bag(tmp_path / "back", back))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
 def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
     folder = write_bag(tmp_path / "bag", rows_of(range(60)))
     part = next(folder.glob("*.db3"))
     assert len(read_measurements(part, JOINTS)) == len(DATA)
-    os.mkfifo(folder / "other.db3")
+    make_pipe(folder / "other.db3")
     for path in (folder, part):
         assert_refused("give a bag whose parts are files", path)
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import sys
-
 import mujoco
 import pytest
 
 from rigs import urdf
-from rigs.model_files import LFS_POINTER, TETRAHEDRON, write_files
+from rigs.model_files import LFS_POINTER, TETRAHEDRON, make_pipe, write_files
 from rigs.refusals import refused
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document, reference
@@ -135,9 +132,8 @@ def test_a_mesh_that_is_a_pointer_of_lfs_is_named(tmp_path, suffix):
             compile_model(tmp_path / name)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
 def test_a_pipe_in_the_place_of_a_mesh_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "m.obj")
+    make_pipe(tmp_path / "m.obj")
     path = write_files(tmp_path, {"m.xml": meshed_model("")})
     with refused("m.obj is a pipe or a device"):
         compile_model(path)

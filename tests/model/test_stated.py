@@ -12,21 +12,20 @@ from rigs.arms import compile_xml, robot_of
 from rigs.places import MODELS
 from rigs.releases import since
 from robot_sysid import spatial
-from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import KINDS
 
 MASS, CENTRE, INERTIA = KINDS
 MASSES = (5.0, 4.0, 2.5, 1.5, 0.9)
-COPIED = "0.001"
+CENTRE_OF_MASS = np.array([0.0, 0.0, 0.1])
+"""That of each link, in the middle of its rod [m]."""
 
 
 def arm(folder, placeholders=()):
     """An arm whose links are rods of 0.2 m; ``placeholders`` are (number of a link, kind)."""
-    contents = {}
+    bodies = {}
     for number, mass in enumerate(MASSES):
-        name = f"link{number}"
-        com = np.array([0.0, 0.0, 0.1])
+        com = CENTRE_OF_MASS.copy()
         inertia = mass * np.diag([0.0035, 0.0034, 0.0008])
         if (number, CENTRE) in placeholders:
             com[:] = 0.0
@@ -35,8 +34,8 @@ def arm(folder, placeholders=()):
         if (number, MASS) in placeholders:
             mass = 2e-4
             inertia = 1e-6 * np.eye(3)
-        contents[name] = urdf_inertial_about_com(mass, com, inertia)
-    return load_robot_model(urdf.write_arm(folder, contents))
+        bodies[f"link{number}"] = mass, com, inertia
+    return load_robot_model(urdf.write_bodies(folder, bodies))
 
 
 @given(
@@ -77,23 +76,19 @@ def test_a_rod_between_the_joints_stands_for_it(tmp_path_factory, number, kind):
 
 @pytest.mark.parametrize("count", [3, 5])
 def test_one_inertia_for_several_links_is_a_placeholder(tmp_path, count):
-    contents = {}
+    bodies = {}
     for number, mass in enumerate(MASSES):
-        value = float(COPIED) if number < count else 0.004 * mass
-        inertia = np.diag([1.0, 0.9, 0.8]) * value
-        com = np.array([0.0, 0.0, 0.1])
-        contents[f"link{number}"] = urdf_inertial_about_com(mass, com, inertia)
-    path = urdf.write_arm(tmp_path, contents)
+        value = 0.001 if number < count else 0.004 * mass
+        bodies[f"link{number}"] = mass, CENTRE_OF_MASS, np.diag([1.0, 0.9, 0.8]) * value
+    path = urdf.write_bodies(tmp_path, bodies)
     found = [link.placeholders for link in load_robot_model(path).links]
     assert found == [(INERTIA,)] * count + [()] * (len(MASSES) - count)
 
 
 def test_links_of_one_kind_are_no_copies(tmp_path):
     """Modules of one mass and one inertia, about different axes different, are what they are."""
-    content = urdf_inertial_about_com(
-        2.0, np.array([0.0, 0.0, 0.1]), np.diag([0.008, 0.007, 0.002])
-    )
-    path = urdf.write_arm(tmp_path, dict.fromkeys(("l1", "l2", "l3", "l4"), content))
+    body = 2.0, CENTRE_OF_MASS, np.diag([0.008, 0.007, 0.002])
+    path = urdf.write_bodies(tmp_path, dict.fromkeys(("l1", "l2", "l3", "l4"), body))
     assert not any(link.placeholders for link in load_robot_model(path).links)
 
 

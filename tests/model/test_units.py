@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from rigs import urdf
 from rigs.refusals import refused
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.parser import load_robot_model
 
 LINKS = {"l1": (3.0, 0.3), "l2": (2.0, 0.25), "l3": (1.2, 0.2), "l4": (0.4, 0.08)}
@@ -19,19 +18,16 @@ LINKS = {"l1": (3.0, 0.3), "l2": (2.0, 0.25), "l3": (1.2, 0.2), "l4": (0.4, 0.08
 
 def arm(folder, mass=1.0, inertia=1.0, length=1.0, changed=LINKS, is_placeholder=False):
     """The path of a URDF whose numbers are multiplied, those of inertials in ``changed`` links."""
-    contents = {}
+    bodies = {}
     for name, (link_mass, size) in LINKS.items():
         squares = np.array([0.08, 0.1, size]) ** 2
         moments = link_mass / 12.0 * (np.sum(squares) - squares)
         if is_placeholder:
             moments[:] = 1e-6
         mass_factor, inertia_factor = (mass, inertia) if name in changed else (1.0, 1.0)
-        contents[name] = urdf_inertial_about_com(
-            mass_factor * link_mass,
-            np.array([0.0, 0.0, 0.5 * length * size]),
-            inertia_factor * np.diag(moments),
-        )
-    path = urdf.write_arm(folder, contents)
+        com = np.array([0.0, 0.0, 0.5 * length * size])
+        bodies[name] = mass_factor * link_mass, com, inertia_factor * np.diag(moments)
+    path = urdf.write_bodies(folder, bodies)
     path.write_text(path.read_text().replace("0 0 0.2", f"0 0 {0.2 * length!r}"))
     return path
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from rigs.model_files import LFS_POINTER
+from rigs.model_files import LFS_POINTER, make_pipe
 from rigs.places import ROOT
 from rigs.refusals import refused
 from robot_sysid.errors import InputError
@@ -234,15 +234,6 @@ def test_an_integer_beyond_all_floats_is_infinite(tmp_path):
     assert read_json(path, "") == [math.inf, 3, {"a": None}]
 
 
-@pytest.fixture
-def pipe(tmp_path):
-    """A named pipe."""
-    if sys.platform == "win32":
-        pytest.skip("needs named pipes")
-    os.mkfifo(tmp_path / "pipe")
-    return tmp_path / "pipe"
-
-
 def test_files_folders_and_what_is_not_there_are_left_alone(tmp_path):
     (tmp_path / "a").touch()
     for path in (
@@ -256,7 +247,8 @@ def test_files_folders_and_what_is_not_there_are_left_alone(tmp_path):
         refuse_special_file(path)
 
 
-def test_a_device_is_neither_read_nor_replaced(tmp_path, pipe):
+def test_a_device_is_neither_read_nor_replaced(tmp_path):
+    pipe = make_pipe(tmp_path / "pipe")
     (tmp_path / "null").symlink_to(os.devnull)
     for path in (pipe, tmp_path / "null"):
         with refused("is a pipe or a device; do this"):
