@@ -33,7 +33,6 @@ def arm(arm_file):
 
 
 BAD_OPTIONS = [
-    ("--duration 0", "--duration must be positive"),
     ("--output-dir ''", "--output-dir: the folder's name is empty"),
     ("--output-dir \udcff", "cannot be written as UTF-8"),
     (f"--output-dir {300 * 'n'}", "File name too long"),

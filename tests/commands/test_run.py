@@ -117,18 +117,12 @@ def test_more_samples_than_anybody_can_wait_for_are_refused_at_once(command, arm
     plan = arm.with_name("plan.json")
     started = time.monotonic()
     plan.write_text(json.dumps({**json.loads(plan.read_text()), "duration": 1e12}))
-    for options in (("--speed 1e-12",), ("--trajectory", plan)):
-        message = command.refused(arm, *options)
-        assert "samples, more than the 1e+09 a run can take" in message
+    message = command.refused(arm, "--trajectory", plan)
+    assert "samples, more than the 1e+09 a run can take" in message
     assert time.monotonic() - started < 5.0
 
 
 def test_lists_that_do_not_fit_the_joints_are_refused(command, arm):
-    plant = (arm, *SHORT, "--plant-model", arm, "--noise-torque 0.1,0.2")
-    plan = ("plan", arm, *SINES, "--max-torque 0.1,0.2")
-    for option, words in (("--noise-torque", plant), ("--max-torque", plan)):
-        message = command.refused(*words)
-        assert (
-            f"{option} takes one number, or one per joint of the chain, which has 4"
-            in message
-        )
+    message = command.refused("plan", arm, *SINES, "--max-torque 0.1,0.2")
+    need = "--max-torque takes one number, or one per joint of the chain, which has 4"
+    assert need in message
