@@ -12,7 +12,7 @@ from robot_sysid.errors import InputError, SysidError
 
 @contextmanager
 def refused(
-    message: str, error_class: type[SysidError] = InputError
+    message: str | None = None, error_class: type[SysidError] = InputError
 ) -> Iterator[pytest.ExceptionInfo[SysidError]]:
     """Expect an error of this class inside the block, whose text is one line that matches."""
     with pytest.raises(error_class, match=message) as caught:
