@@ -233,11 +233,11 @@ def with_links(folder, links, mass=1.0, centre=1.0):
     ("links", "factors"),
     [
         ((), {}),
-        (WRISTS, {"centre": 0.75}),
+        pytest.param(WRISTS, {"centre": 0.75}, marks=pytest.mark.slow),
         (WRISTS, {"centre": 0.5}),
         (WRISTS, {"centre": 0.0}),
-        (WRISTS[:2], {"centre": 0.0}),
-        (WRISTS[1:2], {"centre": 0.0}),
+        pytest.param(WRISTS[:2], {"centre": 0.0}, marks=pytest.mark.slow),
+        pytest.param(WRISTS[1:2], {"centre": 0.0}, marks=pytest.mark.slow),
         (WRISTS[1:2], {"mass": 0.5}),
     ],
 )
