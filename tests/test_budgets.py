@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 30130,
     "robot_sysid/diagnosis": 15713,
     "robot_sysid/dynamics": 3036,
-    "robot_sysid/estimate": 29075,
+    "robot_sysid/estimate": 29089,
     "robot_sysid/logs": 14553,
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,

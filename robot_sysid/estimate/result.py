@@ -302,32 +302,32 @@ def link_estimates(fitted: Fit, file: Fit | None) -> list[BodyEstimate]:
 
 def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
     """Yield the parameters of terms, with the model's values where the arm has them."""
+    pairs = [(term, parameter) for term in terms for parameter in term.parameters]
     causes = fitted.budget(np.eye(len(fitted.names)))
     shares = fitted.share()
-    for term in terms:
+    for term, parameter in pairs:
+        key = parameter.key
+        index = fitted.names.index(key)
+        value, error = quantity(fitted, key)
+        reason = max(causes, key=lambda cause: causes[cause][index])
+        source = DATA if shares[index] >= PRIOR_SHARE else MODEL
+        if math.isnan(error):
+            source = BOUND
+            reason = "it would cross its bound"
+        elif math.isinf(error):
+            reason = NOT_SHOWN
         # A joint's friction beyond its terms, which errors allow for, is none of these terms.
         further = "further_" if term.cause == FURTHER_FRICTION else ""
-        for parameter in term.parameters:
-            key = parameter.key
-            index = fitted.names.index(key)
-            value, error = quantity(fitted, key)
-            reason = max(causes, key=lambda cause: causes[cause][index])
-            source = DATA if shares[index] >= PRIOR_SHARE else MODEL
-            if math.isnan(error):
-                source = BOUND
-                reason = "it would cross its bound"
-            elif math.isinf(error):
-                reason = NOT_SHOWN
-            yield Quantity(
-                f"{further}{parameter.name}",
-                parameter.of or "arm",
-                parameter.unit,
-                fitted.arm.model.get(key),
-                value,
-                error,
-                source,
-                reason,
-            )
+        yield Quantity(
+            f"{further}{parameter.name}",
+            parameter.of or "arm",
+            parameter.unit,
+            fitted.arm.model.get(key),
+            value,
+            error,
+            source,
+            reason,
+        )
 
 
 def quantity(fitted: Fit, name: str) -> tuple[float, float]:
