@@ -42,7 +42,7 @@ class Written:
         lines: printed lines, in order.
         verdict: whether to use the result, which file, and the next step; printed last.
         failure: why there is nothing to use, or None.
-        result: a ``Identification``, identified servos, or what --json prints of a plan.
+        result: an ``Identification``, identified servos, or what --json prints of a plan.
     """
 
     files: tuple[Path, ...]
