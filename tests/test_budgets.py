@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 3865,
     "robot_sysid/commands": 9763,
     "robot_sysid/damiao": 30130,
-    "robot_sysid/diagnosis": 15713,
+    "robot_sysid/diagnosis": 15800,
     "robot_sysid/dynamics": 3036,
     "robot_sysid/estimate": 29089,
     "robot_sysid/logs": 14553,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10740,
-    "tests": 207996,
+    "tests": 208057,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -111,6 +111,10 @@ def judge(
     if refusals(found):
         return Judged(tuple(logs), in_order(found), notes, None)
     fitted = solved(robot, recordings, question, progress, beside)
+    most = float(np.max(fitted.sums.row_counts))
+    found += few_findings(most, duration(pieces), recordings[0].cutoff)
+    if refusals(found):
+        return Judged(tuple(logs), in_order(found), notes, None)
     usual = replace(
         options, friction_model=None, no_friction=False, priors=wide(options.priors)
     )
@@ -193,20 +197,31 @@ def enough_findings(
     """
     cutoff = recordings[0].cutoff
     span = duration(pieces)
-    rows = 2.0 * cutoff * span
-    # For ten parameters and the joint's friction.
-    least_rows = 40
     rate = 1.0 / sampling_period(pieces[0].time)
     # A slower motion cannot be differentiated.
     if rate < 10.0:
         text = f"{rate:.3g} samples per second are too few"
         yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
+    yield from few_findings(2.0 * cutoff * span, span, cutoff)
+
+
+def few_findings(rows: float, span: float, cutoff: float) -> Iterator[Finding]:
+    """Yield a finding where logs hold too few independent samples of every joint.
+
+    Args:
+        rows: how many of one joint, at most.
+        span: of the logs [s].
+        cutoff: of the low-pass [Hz].
+    """
+    # For ten parameters and the joint's friction.
+    least_rows = 40
     if rows < least_rows:
         text = (
             f"{span:.3g} s behind a low-pass of {cutoff:.3g} Hz hold about {rows:.0f} independent "
-            f"samples per joint, and {least_rows} are needed"
+            f"samples of a joint that moves, and {least_rows} are needed"
         )
-        yield Finding(Level.REFUSES, "too-little", text, "record longer")
+        remedy = "record longer, with the time at which each sample was taken"
+        yield Finding(Level.REFUSES, "too-little", text, remedy)
 
 
 def usable(

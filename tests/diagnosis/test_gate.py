@@ -34,13 +34,13 @@ def test_a_torque_of_weight_alone_is_no_fault_of_the_clock(four_joints):
     assert "time" not in found[0].sentence
 
 
-def swings(robot, seed):
-    """Return a right log in which one joint after the other swings twice."""
+def swings(robot, seed, times=2.0):
+    """Return a right log in which one joint after the other swings a few times."""
     rng = np.random.default_rng(seed)
     time = np.arange(4000) / 200.0
     rate = 0.8 * np.pi
     phase = rate * (time[:, None] - 5.0 * np.arange(robot.n_joints))
-    is_own = (phase >= 0.0) & (phase < 5.0 * rate)
+    is_own = (phase >= 0.0) & (phase < 2.0 * np.pi * times)
     size = is_own * rng.uniform(0.5, 0.9, robot.n_joints)
     q = size * (1.0 - np.cos(phase))
     qd = rate * size * np.sin(phase)
@@ -54,6 +54,14 @@ def swings(robot, seed):
 def test_joints_that_are_driven_one_at_a_time_are_an_experiment(four_joints, seed):
     found = findings_of(four_joints.robot, swings(four_joints.robot, seed))
     assert all(finding.level is Level.SAYS for finding in found), found
+
+
+def test_joints_that_hardly_move_are_too_little_however_long_the_log_is(four_joints):
+    """Independent samples are those of moments at which a joint moves."""
+    short = swings(four_joints.robot, 0, times=0.5)
+    (finding,) = findings_of(four_joints.robot, short)
+    assert finding.about == "too-little" and finding.level is Level.REFUSES
+    assert "20 s behind a low-pass" in finding.text
 
 
 def test_logs_that_each_show_some_joints_are_judged_together(four_joints):
