@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -302,6 +303,163 @@ def plotjuggler(folder: Path, data: Recording) -> Path:
     return write(folder / "plot.csv", rows, titles)
 
 
+def lists_in_cells(folder: Path, data: Recording) -> Path:
+    """A list in quotes in each cell, beside a word, as SAGE and pandas write it."""
+    rows = zip(data.time.tolist(), data.q.tolist(), data.qd.tolist(), data.tau.tolist())
+    lines = ["type,timestamp,positions,velocities,torques"]
+    lines += [f'STATE_MOTOR,{time},"{q}","{qd}","{tau}"' for time, q, qd, tau in rows]
+    path = folder / "state_motor.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def nested_states(data: Recording) -> list[dict[str, Any]]:
+    """Return the samples of a motion as nested objects."""
+    states = []
+    for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
+        state = {"q": q.tolist(), "dq": qd.tolist(), "tau": tau.tolist(), "mode": "run"}
+        states.append({"t": float(time), "state": state})
+    return states
+
+
+def json_lines(folder: Path, data: Recording) -> Path:
+    path = folder / "log.jsonl"
+    lines = map(json.dumps, nested_states(data))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def json_states(folder: Path, data: Recording) -> Path:
+    """An object with a list of states."""
+    content = {"robot": "arm", "states": nested_states(data)}
+    path = folder / "states.json"
+    path.write_text(json.dumps(content, indent=1))
+    return path
+
+
+def json_arrays(folder: Path, data: Recording) -> Path:
+    """An object of arrays, joints by the alphabet of their names."""
+    order = np.argsort(JOINTS)[::-1]
+    joints = {"joint_names": [JOINTS[k] for k in order]}
+    for name, values in (("q", data.q), ("qd", data.qd), ("tau", data.tau)):
+        joints[name] = values[:, order].tolist()
+    path = folder / "arrays.json"
+    path.write_text(json.dumps({"time": data.time.tolist(), "data": joints}))
+    return path
+
+
+def signal_rows(folder: Path, data: Recording) -> Path:
+    """A row per signal and instant, one signal after the other."""
+    rows: list[list[object]] = []
+    for name, values in (
+        ("position", data.q),
+        ("velocity", data.qd),
+        ("effort", data.tau),
+    ):
+        for joint, column in zip(JOINTS, values.T.tolist()):
+            signal = f"/joint_states/{joint}/{name}"
+            rows += [[t, signal, v] for t, v in zip(data.time.tolist(), column)]
+    return write(folder / "signals.csv", rows, ["timestamp", "signal", "value"])
+
+
+def joint_rows(folder: Path, data: Recording) -> Path:
+    """A row per joint and instant, joints in an order of their own."""
+    rows: list[list[object]] = []
+    for time, *values in zip(data.time.tolist(), data.q, data.qd, data.tau):
+        for k in (1, 0, 2):
+            rows.append([time, JOINTS[k], *(float(v[k]) for v in values)])
+    titles = ["time", "joint", "position", "velocity", "torque"]
+    return write(folder / "joints.csv", rows, titles)
+
+
+def echo(folder: Path, data: Recording, csv: bool = False) -> Path:
+    """What ros2 topic echo prints of a JointState, behind a warning."""
+    order = [2, 0, 1]
+    names = [JOINTS[k] for k in order]
+    documents = ["WARNING: topic [/joint_states] does not appear to be published yet"]
+    lines = []
+    for time, *values in zip(data.time, data.q, data.qd, data.tau):
+        seconds, nanoseconds = divmod(START_NS + round(1e9 * time), 10**9)
+        lists = [v[order].tolist() for v in values]
+        cells = [seconds, nanoseconds, "base", *names, *chain(*lists)]
+        lines.append(",".join(map(str, cells)))
+        text = f"header:\n  stamp:\n    sec: {seconds}\n    nanosec: {nanoseconds}\n"
+        text += "  frame_id: base\n"
+        for key, items in zip(("name", *INTERFACES), (names, *lists)):
+            text += f"{key}:\n" + "".join(f"- {item}\n" for item in items)
+        documents.append(f"{text}---")
+    path = folder / ("echo.csv" if csv else "echo.txt")
+    path.write_text("\n".join(lines if csv else documents) + "\n")
+    return path
+
+
+def excel(folder: Path, data: Recording) -> Path:
+    """A workbook whose first sheet is a remark."""
+    book = pytest.importorskip("openpyxl").Workbook()
+    book.active.append(["made by", "hand"])
+    sheet = book.create_sheet("run 1")
+    joints = range(1, 4)
+    sheet.append(
+        ["time", *(f"{name}{k}" for name in ("q", "qd", "tau") for k in joints)]
+    )
+    for row in np.column_stack((data.time, data.q, data.qd, data.tau)).tolist():
+        sheet.append(row)
+    book.save(folder / "log.xlsx")
+    return folder / "log.xlsx"
+
+
+def mcap_of_json(folder: Path, data: Recording) -> Path:
+    """An MCAP file of Foxglove's JointStates in JSON, and another topic."""
+    writer_class = pytest.importorskip("mcap.writer").Writer
+    path = folder / "json.mcap"
+    with path.open("wb") as stream:
+        writer = writer_class(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.JointStates", "jsonschema", b"{}")
+        channel = writer.register_channel("/joints", "json", schema)
+        other = writer.register_channel("/battery", "json", schema)
+        for time, *values in zip(data.time, data.q, data.qd, data.tau):
+            stamp = START_NS + round(1e9 * time)
+            seconds, nanoseconds = divmod(stamp, 10**9)
+            joints = []
+            for name, *numbers in zip(JOINTS, *(v.tolist() for v in values)):
+                joints.append({"name": name, **dict(zip(INTERFACES, numbers))})
+            message = {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
+            for topic, content in (
+                (channel, {"joints": joints}),
+                (other, {"volt": 24.0}),
+            ):
+                encoded = json.dumps({**message, **content}).encode()
+                writer.add_message(topic, stamp, encoded, stamp)
+        writer.finish()
+    return path
+
+
+def mcap_of_protobuf(folder: Path, data: Recording) -> Path:
+    """An MCAP file of a message of protobuf with lists, and the time of recording alone."""
+    writer_class = pytest.importorskip("mcap_protobuf.writer").Writer
+    descriptor_pb2 = pytest.importorskip("google.protobuf.descriptor_pb2")
+    from google.protobuf import descriptor_pool, message_factory
+
+    file = descriptor_pb2.FileDescriptorProto(name="arm.proto", syntax="proto3")
+    message_type = file.message_type.add(name="ArmState")
+    kind = descriptor_pb2.FieldDescriptorProto
+    for number, name in enumerate(("q", "dq", "tau"), start=1):
+        message_type.field.add(
+            name=name, number=number, label=kind.LABEL_REPEATED, type=kind.TYPE_DOUBLE
+        )
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    state = message_factory.GetMessageClass(pool.FindMessageTypeByName("ArmState"))
+    path = folder / "protobuf.mcap"
+    with path.open("wb") as stream, writer_class(stream) as writer:
+        for time, *values in zip(data.time, data.q, data.qd, data.tau):
+            numbers = dict(zip(("q", "dq", "tau"), values))
+            stamp = START_NS + round(1e9 * time)
+            writer.write_message("/arm", state(**numbers), stamp, stamp)
+    return path
+
+
 FORMS: dict[str, Callable[[Path, Recording], Path]] = {
     "ROS 2 db3": rosbag,
     "ROS 2 single mcap": single_mcap,
@@ -316,4 +474,15 @@ FORMS: dict[str, Callable[[Path, Recording], Path]] = {
     "libfranka": libfranka,
     "RTDE": rtde,
     "PlotJuggler": plotjuggler,
+    "lists in cells": lists_in_cells,
+    "JSON lines": json_lines,
+    "JSON states": json_states,
+    "JSON arrays": json_arrays,
+    "rows of signals": signal_rows,
+    "rows of joints": joint_rows,
+    "echo": echo,
+    "echo CSV": partial(echo, csv=True),
+    "Excel": excel,
+    "MCAP of JSON": mcap_of_json,
+    "MCAP of protobuf": mcap_of_protobuf,
 }

@@ -9,6 +9,7 @@ columns are held in memory.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs import LogOptions, arrays
+from robot_sysid.logs import LogOptions, arrays, documents
 from robot_sysid.logs.checks import read_recording
 from robot_sysid.logs.column_map import (
     ColumnChoices,
@@ -29,7 +30,7 @@ from robot_sysid.logs.column_map import (
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.table import LogTable, as_input_errors
-from robot_sysid.logs.text import text_table
+from robot_sysid.logs.text_shapes import text_table
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress
@@ -147,19 +148,31 @@ def origin_of(logs: Sequence[Recording]) -> DataOrigin:
 TableReader = Callable[[Path, Sequence[str], LogOptions], LogTable]
 """Reads a log of one form as a table: its path, the joints of the arm, and options."""
 _BAG = "a ROS bag", bag_table
+_JSON = "JSON", documents.json_table
 _HDF5 = "an HDF5 file", arrays.hdf5_table
 _TEXT = "a table of text", text_table
-# First bytes of a file to its form and the form's reader; any other file is a text table.
+# Pattern of a file's first bytes to its form and the form's reader; any other file is a text table.
 _FILES: Mapping[bytes, tuple[str, TableReader]] = {
-    b"\x89MCAP0": _BAG,
-    b"#ROSBAG V": _BAG,
-    b"SQLite format 3": _BAG,
-    b"MATLAB 5.0": ("a MATLAB .mat file", arrays.matlab_table),
+    rb"\x89MCAP0": ("an MCAP file", documents.mcap_table),
+    rb"#ROSBAG V": _BAG,
+    rb"SQLite format 3": _BAG,
+    rb"MATLAB 5\.0": ("a MATLAB .mat file", arrays.matlab_table),
     # .mat files are HDF5 since version 7.3.
-    b"MATLAB 7.3": _HDF5,
-    b"\x89HDF\r\n\x1a\n": _HDF5,
-    b"PK\x03\x04": ("a NumPy .npz file", arrays.npz_table),
-    b"PAR1": ("a Parquet file", arrays.parquet_table),
+    rb"MATLAB 7\.3": _HDF5,
+    rb"\x89HDF\r\n\x1a\n": _HDF5,
+    # An Excel file is an archive, too; its first file lies in one of these folders.
+    rb"PK\x03\x04.{26}(\[Content_Types\]|_rels|docProps|xl)": (
+        "an Excel file",
+        documents.excel_table,
+    ),
+    rb"PK\x03\x04": ("a NumPy .npz file", arrays.npz_table),
+    rb"PAR1": ("a Parquet file", arrays.parquet_table),
+    rb"(\xef\xbb\xbf)?\s*[\[{]": _JSON,
+    # What ros2 topic echo prints, behind warnings.
+    rb"(.*\n)?header:\s+(seq|stamp):": (
+        "text of ros2 topic echo",
+        documents.echo_table,
+    ),
 }
 # A file in a folder to the folder's form and the form's reader.
 _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
@@ -205,7 +218,11 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
                 "ROS 2 bag, a LeRobot data set, HDF5, Parquet, NumPy .npz or MATLAB .mat"
             )
     else:
-        forms = [form for head, form in _FILES.items() if first_bytes.startswith(head)]
+        forms = [
+            form
+            for pattern, form in _FILES.items()
+            if re.match(pattern, first_bytes, re.DOTALL)
+        ]
     form, reader = forms[0] if forms else _TEXT
     with as_input_errors(path, form):
         table = reader(path, joint_names, options)

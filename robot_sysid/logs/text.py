@@ -17,7 +17,6 @@ from functools import lru_cache
 from io import TextIOWrapper
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -85,6 +84,14 @@ class Dialect:
             if rows:
                 yield Block(np.array(numbers), np.array(rows), complaint, share)
 
+    def rows(self) -> Iterator[list[str]]:
+        """Yield the cells of each row as text, also of rows that have not a cell per title."""
+        chunks = _read_lines(self.path, self.encoding, CHUNK, self.header_line)
+        for _, lines, _ in chunks:
+            for line in lines:
+                if line.strip() and not line.lstrip().startswith(_COMMENT):
+                    yield split_line(line, self.separator)
+
     def _read_plain_rows(self, lines: Sequence[str]) -> Array | None:
         """Return the cells (R, C) of lines that are all rows of plain numbers, else None.
 
@@ -110,17 +117,15 @@ class Dialect:
         row = []
         for column in columns:
             try:
-                row.append(_parse_cell(texts[column], self.first_row[column]))
+                row.append(parse_cell(texts[column], self.first_row[column]))
             except ValueError:
                 fault = f"{texts[column][:40]!r} is not a number"
                 raise ValueError(f", column {titles[column]!r}: {fault}") from None
         return row
 
 
-def text_table(path: Path, *_: Any) -> LogTable:
-    """Return a text file as a table."""
-    with path.open("rb") as stream:
-        dialect = read_dialect(path, stream.read(4096))
+def plain_table(dialect: Dialect) -> LogTable:
+    """Return a text file with a number in each cell as a table."""
     separator = _SEPARATORS[dialect.separator]
     layout = f"{len(dialect.titles)} columns separated by {separator}"
     choices = ColumnChoices()
@@ -128,15 +133,20 @@ def text_table(path: Path, *_: Any) -> LogTable:
         layout = f"libfranka's logToCSV, time in ms, {layout}"
         choices = ColumnChoices(time_unit="ms")
     return LogTable(
-        path, layout, dialect.titles, dialect.blocks, choices, "line", dialect.first_row
+        dialect.path,
+        layout,
+        dialect.titles,
+        dialect.blocks,
+        choices,
+        "line",
+        dialect.first_row,
     )
 
 
-def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
-    """Return the layout of a log by its first lines, or raise InputError where it is no text table.
-
-    ``first_bytes``: of the file, some thousands.
-    """
+def read_dialect(path: Path) -> Dialect:
+    """Return the layout of a log by its first lines; InputError where it is no text table."""
+    with path.open("rb") as stream:
+        first_bytes = stream.read(4096)
     is_utf16 = first_bytes.startswith((b"\xff\xfe", b"\xfe\xff"))
     encoding = "utf-16" if is_utf16 else "utf-8-sig"
     try:
@@ -178,6 +188,10 @@ def _find_separator(line: str) -> str:
 def split_line(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without quotes and surrounding blanks; nothing for no text."""
     single = " ".join(line.split()) if separator == " " else line
+    if "[" in line:
+        # A list without quotes is one cell, too.
+        before = rf"(^|{re.escape(separator)})\s*"
+        single = re.sub(before + r'(\[[^\]"]*\])', r'\1"\2"', single)
     reader = csv.reader([single], delimiter=separator, skipinitialspace=True)
     try:
         return list(map(str.strip, next(reader, [])))
@@ -192,7 +206,7 @@ _DATE = re.compile(
 )
 
 
-def _parse_cell(cell: str, start: str = "") -> float:
+def parse_cell(cell: str, start: str = "") -> float:
     """Return the number in a cell, NaN where it is marked empty, or raise ValueError.
 
     A comma is a decimal one. A date becomes the time [s] since the date ``start``, or since 1970
@@ -233,12 +247,22 @@ def _read_lines(
         for _ in range(above):
             stream.readline()
         while lines := stream.readlines(size):
-            yield (
-                above + 1,
-                [line.rstrip("\n") for line in lines],
-                binary.tell() / file_size,
-            )
+            text = _join_cells("".join(lines), stream)
+            share = binary.tell() / file_size
+            yield above + 1, text.removesuffix("\n").split("\n"), share
             above += len(lines)
+
+
+def _join_cells(text: str, stream: TextIOWrapper) -> str:
+    """Return lines of which none ends within a list in quotes, read to the end of the last one.
+
+    NumPy writes a long array in several lines.
+    """
+    if '"[' not in text:
+        return text
+    while text.rfind('"[') > text.rfind(']"') and (line := stream.readline()):
+        text += line
+    return re.sub(r'"\[[^\]"]*\]"', lambda cell: cell[0].replace("\n", " "), text)
 
 
 def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
@@ -288,7 +312,7 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
     count = 0
     for cell in cells:
         with contextlib.suppress(ValueError):
-            _parse_cell(cell)
+            parse_cell(cell)
             count += 1
     return 2 * count > len(cells)
 

@@ -1,0 +1,228 @@
+"""Logs in documents and messages: JSON, Excel, the text of ``ros2 topic echo``, and MCAP files of
+JSON or protobuf.
+
+Each is a sequence of nested states, of which ``states`` makes a table, or an object of arrays.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.ros_bag import bag_table
+from robot_sysid.logs.states import named_rows, names_in, states_table
+from robot_sysid.logs.table import LogTable, import_optional
+from robot_sysid.logs.titles import read_title
+from robot_sysid.wording import option_name
+
+
+def json_table(path: Path, *_: Any) -> LogTable:
+    """Return JSON as a table: a state per line, a list of states, or an object of arrays."""
+    text = path.read_text(encoding="utf-8-sig")
+    values = _json_values(text)
+    beginning = [value for _, value in zip(range(2), values)]
+    if any(isinstance(value, (dict, list)) for value in beginning[1:]):
+        lines = chain(beginning, values)
+        return states_table(path, "JSON, a state per line", lines, "state")
+    # Raises where the text is no JSON.
+    content = json.loads(text, object_hook=_as_rows)
+    layout = "JSON, a list of states"
+    lists = [*_lists_in(content)]
+    if not any(lists):
+        raise InputError(f"{path} holds no list of states, and no arrays")
+    states = content if isinstance(content, list) else max(lists, key=_count_states)
+    if states is not content and not _count_states(states):
+        layout = "JSON, an object of arrays"
+        length = max(map(len, lists))
+        states = [_instant(content, index, length) for index in range(length)]
+    elif isinstance(content, dict) and (names := names_in(content)):
+        states = [{"name": names, **state} for state in states]
+    return states_table(path, layout, states, "state")
+
+
+def _as_rows(content: dict[str, Any]) -> Any:
+    """Return an object of rows by their numbers, as pandas writes a column, as a list."""
+    return [*content.values()] if all(map(str.isdigit, content)) else content
+
+
+def _json_values(text: str) -> Iterator[Any]:
+    """Yield the values of JSON that follow each other in a text; None for a line that is none."""
+    decoder = json.JSONDecoder()
+    visible = re.compile(r"\S")
+    position = 0
+    while match := visible.search(text, position):
+        try:
+            value, position = decoder.raw_decode(text, match.start())
+        except json.JSONDecodeError:
+            value = None
+            position = text.find("\n", match.start()) + 1 or len(text)
+        yield value
+
+
+def _lists_in(value: Any) -> Iterator[list[Any]]:
+    """Yield the lists in nested objects; not those in lists."""
+    if isinstance(value, list):
+        yield value
+    elif isinstance(value, dict):
+        for content in value.values():
+            yield from _lists_in(content)
+
+
+def _count_states(values: Sequence[Any]) -> int:
+    """Return the number of states in a list; 0 where it holds something else."""
+    return len(values) if values and isinstance(values[0], dict) else 0
+
+
+def _instant(value: Any, index: int, length: int) -> Any:
+    """Return nested objects with an element of each list of a length in the list's place."""
+    if isinstance(value, dict):
+        return {key: _instant(item, index, length) for key, item in value.items()}
+    if not isinstance(value, list):
+        return value
+    if len(value) == length:
+        return value[index]
+    # A list per joint.
+    return [_instant(item, index, length) for item in value]
+
+
+def echo_table(path: Path, *_: Any) -> LogTable:
+    """Return the text that ``ros2 topic echo`` or ``rostopic echo`` prints of a JointState."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    messages = map(_echo_message, re.split(r"^---", text, flags=re.MULTILINE))
+    return states_table(path, "ros2 topic echo", messages, "message")
+
+
+def _echo_message(text: str) -> dict[str, Any]:
+    """Return the lists and the time stamp in the text of a message."""
+    message: dict[str, Any] = {}
+    for key, block in re.findall(r"^(\w+):((?:\n- .*)+|\s*\[[^\]]*\])", text, re.M):
+        items = re.findall(r"(?:^- *|[\[,]\s*)([^,\]\n]+)", block, re.M)
+        message[key] = [item.strip("'\" ") for item in items]
+    stamp = re.search(r"\bsecs?: *(\d+)\s+n(?:ano)?secs?: *(\d+)", text)
+    if stamp:
+        seconds, nanoseconds = stamp.groups()
+        message["header"] = {"stamp": {"sec": seconds, "nanosec": nanoseconds}}
+    return message
+
+
+def excel_table(path: Path, *_: Any) -> LogTable:
+    """Return the sheet with most rows of an Excel file as a table."""
+    openpyxl = import_optional("openpyxl", "xlsx")
+    sheets = {}
+    with path.open("rb") as stream:
+        for sheet in openpyxl.load_workbook(stream, read_only=True, data_only=True):
+            rows = sheet.iter_rows(values_only=True)
+            sheets[sheet.title] = [row for row in rows if row.count(None) < len(row)]
+    name = max(sheets, key=lambda title: len(sheets[title]))
+    rows = sheets.pop(name)
+    first = next((k for k, row in enumerate(rows) if _is_of_numbers(row)), 0)
+    if not first:
+        raise InputError(
+            f"{path}: sheet {name!r} has no row of numbers below a row of titles; save the log's "
+            "sheet as CSV"
+        )
+    titles = [title or f"#{k}" for k, title in enumerate(rows[first - 1], start=1)]
+    states = named_rows(path, titles, rows[first:])
+    table = states_table(path, f"Excel, sheet {name}", states)
+    others = [title for title, rows in sheets.items() if rows]
+    note = f"sheet {name!r} is read, not {', '.join(others)}" if others else ""
+    return replace(table, notes=(note,) if note else ())
+
+
+def _is_of_numbers(row: Sequence[Any]) -> bool:
+    """Return whether more than half of the cells that are filled are numbers."""
+    filled = [cell for cell in row if cell is not None]
+    numbers = [cell for cell in filled if isinstance(cell, (int, float))]
+    return 2 * len(numbers) > len(filled)
+
+
+# Title of when a message was recorded [ns].
+_RECEIVED = "received"
+# Encodings of an MCAP file's messages, as its channels and schemas state them, that are not ROS's.
+_ENCODING = re.compile(rb"\x08\0\0\0protobuf|\x04\0\0\0json")
+
+
+def mcap_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
+    """Return an MCAP file as a table: a ROS bag, or the topic with positions and torques in
+    messages of JSON or protobuf.
+
+    InputError where no topic or several topics have positions and torques.
+    """
+    if not _ENCODING.search(_summary(path)):
+        return bag_table(path, joint_names, options)
+    topics: dict[str, list[Any]] = defaultdict(list)
+    for topic, state in _mcap_states(path):
+        topics[topic].append(state)
+    tables = {}
+    for topic, states in topics.items():
+        layout = f"MCAP, topic {topic}"
+        tables[topic] = states_table(path, layout, states, "message")
+    fitting = []
+    for topic, table in tables.items():
+        quantities = {read_title(t).quantity_beside_name for t in table.titles}
+        if options.topic in (None, topic) and quantities >= {"position", "torque"}:
+            fitting.append(topic)
+    if len(fitting) != 1:
+        listed = ", ".join(fitting or tables) or "none"
+        fault = "several topics have" if fitting else "no topic has"
+        raise InputError(
+            f"{path}: {fault} positions and torques: {listed}; choose with {option_name('topic')}",
+            options=[("--topic", topic) for topic in fitting],
+        )
+    table = tables[fitting[0]]
+    if any(read_title(title).quantity == "time" for title in table.titles):
+        return table
+    # Messages without a time stamp.
+    titles = ["time [ns]" if t == _RECEIVED else t for t in table.titles]
+    return replace(table, titles=tuple(titles))
+
+
+def _summary(path: Path) -> bytes:
+    """Return the end of an MCAP file, which lists its channels; b"" where it was cut off."""
+    # Length of the footer, from which the place of the summary is 9 bytes on.
+    length = 37
+    with path.open("rb") as stream:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(max(0, size - length))
+        footer = stream.read()
+        start = int.from_bytes(footer[9:17], "little")
+        if not footer.endswith(b"\x89MCAP0\r\n") or start > size:
+            return b""
+        stream.seek(start)
+        return stream.read()
+
+
+def _mcap_states(path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield (topic, state with _RECEIVED) of the messages of JSON and protobuf in an MCAP file."""
+    reader = import_optional("mcap.reader", "mcap")
+    protobuf = import_optional("mcap_protobuf.decoder", "mcap").DecoderFactory()
+    with path.open("rb") as stream:
+        for schema, channel, message in reader.make_reader(stream).iter_messages():
+            if channel.message_encoding == "json":
+                state = json.loads(message.data)
+            elif channel.message_encoding == "protobuf":
+                decode = protobuf.decoder_for("protobuf", schema)
+                state = _plain(decode(message.data))
+            else:
+                continue
+            yield channel.topic, {_RECEIVED: message.log_time, **state}
+
+
+def _plain(value: Any) -> Any:
+    """Return a message of protobuf as mappings, lists, texts and numbers."""
+    if hasattr(value, "DESCRIPTOR"):
+        names = [field.name for field in value.DESCRIPTOR.fields]
+        return {name: _plain(getattr(value, name)) for name in names}
+    if isinstance(value, (str, int, float)):
+        return value
+    # Bytes are no numbers.
+    return [] if isinstance(value, bytes) else [*map(_plain, value)]

@@ -1,0 +1,159 @@
+"""States as rows: nested values, each of one instant, whose numbers become the columns of a table.
+
+``{"t": 0.1, "state": {"q": [1, 2]}}`` has the columns t, state/q[0] and state/q[1]. Lists beside a
+list of as many names, as in ROS's JointState, have a column per name: elbow/position.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.arrays import array_blocks
+from robot_sysid.logs.table import ROWS, LogTable
+from robot_sysid.logs.text import parse_cell
+
+# Keys of lists of names, of joints or of what is measured of them.
+_NAMES = re.compile(r".*(name|joint|motor|dof)s?", re.IGNORECASE)
+_SECONDS = frozenset({"sec", "secs", "seconds"})
+_NANOSECONDS = frozenset({"nanosec", "nsec", "nsecs", "nanos"})
+
+
+def numbers_in(value: Any, title: str = "") -> Iterator[tuple[str, float]]:
+    """Yield (title, number) of all numbers in a nested value, also of dates and texts of numbers.
+
+    Args:
+        value: a number, a text, or lists and mappings of such values.
+        title: of the value within the state; "" for the state itself.
+    """
+    if hasattr(value, "isoformat"):
+        value = value.isoformat()
+    if isinstance(value, Mapping):
+        yield from _numbers_in_mapping(value, title)
+    elif isinstance(value, (list, tuple)):
+        for index, item in enumerate(value):
+            item_title = f"{title}[{index}]"
+            if isinstance(item, Mapping) and isinstance(item.get("name"), str):
+                item_title = f"{title}/{item['name']}"
+            yield from numbers_in(item, item_title)
+    elif isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            yield title, parse_cell(value)
+    else:
+        yield title, np.nan if value is None else float(value)
+
+
+def _numbers_in_mapping(
+    value: Mapping[str, Any], title: str
+) -> Iterator[tuple[str, float]]:
+    """Yield (title, number) of the numbers in a mapping; a time stamp of ROS is one number."""
+    prefix = f"{title}/" if title else ""
+    seconds = _SECONDS & value.keys()
+    nanoseconds = _NANOSECONDS & value.keys()
+    if seconds and nanoseconds:
+        fraction = 1e-9 * int(value[min(nanoseconds)])
+        yield title or "time", int(value[min(seconds)]) + fraction
+        value = {key: value[key] for key in value.keys() - seconds - nanoseconds}
+    names = names_in(value)
+    for key, content in value.items():
+        if not (names and isinstance(content, list)):
+            yield from numbers_in(content, f"{prefix}{key}")
+        elif len(content) == len(names):
+            # A list of another length was not measured of every joint.
+            for name, item in zip(names, content):
+                yield from numbers_in(item, f"{prefix}{name}/{key}")
+
+
+def names_in(value: Mapping[str, Any]) -> list[str]:
+    """Return the names that a mapping lists for the elements of its other lists; [] for none."""
+    for key, content in value.items():
+        is_list = isinstance(content, list) and content and _NAMES.fullmatch(str(key))
+        if is_list and not any(map(_is_number, content)):
+            return content
+    return []
+
+
+def _is_number(value: Any) -> bool:
+    """Return whether a value is no name."""
+    if not isinstance(value, str):
+        return True
+    with contextlib.suppress(ValueError):
+        parse_cell(value)
+        return True
+    return False
+
+
+def named_rows(
+    path: Path, titles: Sequence[Any], rows: Iterable[Sequence[Any]]
+) -> Iterator[Any]:
+    """Yield rows as states, title to cell, with lists in texts as lists; None for a short row.
+
+    InputError where two columns have one title.
+    """
+    names = []
+    for title in titles:
+        name = str(title)
+        # Some headers have "[positions]" above lists.
+        names.append(name.strip("[]") if name.startswith("[") else name)
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path} has two columns {name!r}; rename one of them")
+    for cells in rows:
+        is_whole = len(cells) == len(names)
+        yield dict(zip(names, map(list_in_cell, cells))) if is_whole else None
+
+
+def list_in_cell(cell: Any) -> Any:
+    """Return the texts in a cell that holds a list, such as "[0.1, 0.2]" or "[0.1 0.2]"; any other
+    cell as it is.
+    """
+    if not (isinstance(cell, str) and cell.startswith(("[", "("))):
+        return cell
+    # A text of NumPy's numbers is "[np.float64(0.1), ...]".
+    plain = re.sub(r"[\w.]+\(", "", cell)
+    return re.findall(r"[^\s,;\[\]()'\"]+", plain)
+
+
+def states_table(
+    path: Path, layout: str, states: Iterable[Any], row_noun: str = "row"
+) -> LogTable:
+    """Return states as a table with a row per state and a column per title.
+
+    Args:
+        path: of the file.
+        layout: see ``LogTable``.
+        states: nested values; None in place of one that cannot be read.
+        row_noun: see ``LogTable``.
+    """
+    columns: dict[str, int] = {}
+    chunks = []
+    remaining = iter(states)
+    while chunk := list(islice(remaining, ROWS)):
+        rows = []
+        for state in chunk:
+            row = dict(numbers_in(state)) if state is not None else None
+            for title in row or ():
+                columns.setdefault(title, len(columns))
+            rows.append(row)
+        cells = np.full((len(rows), len(columns)), np.nan)
+        for cell_row, row in zip(cells, rows):
+            if row is None:
+                cell_row[:] = np.inf
+            else:
+                cell_row[[columns[title] for title in row]] = [*row.values()]
+        chunks.append(cells)
+    table_cells = np.full((sum(map(len, chunks)), len(columns)), np.nan)
+    start = 0
+    for cells in chunks:
+        table_cells[start : start + len(cells), : cells.shape[1]] = cells
+        start += len(cells)
+    blocks = partial(array_blocks, [table_cells])
+    return LogTable(path, layout, tuple(columns), blocks, row_noun=row_noun)
