@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 15800,
     "robot_sysid/dynamics": 3036,
     "robot_sysid/estimate": 29089,
-    "robot_sysid/logs": 18479,
+    "robot_sysid/logs": 18764,
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
     "robot_sysid/motion": 14850,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10740,
-    "tests": 211891,
+    "tests": 212129,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

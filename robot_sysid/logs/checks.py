@@ -17,7 +17,7 @@ from itertools import compress
 import numpy as np
 
 from robot_sysid.errors import InputError, prefix_input_errors
-from robot_sysid.logs.table import Lines, LogTable, read_cells
+from robot_sysid.logs.table import Lines, LogTable, read_cells, separate_recordings
 from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
 from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.resampling import (
@@ -47,8 +47,10 @@ def read_recording(
         InputError: the first fault.
     """
     cells, complaint = read_cells(table, columns, progress)
+    restart_notes = separate_recordings(table, columns, cells)
     with prefix_input_errors(str(table.path)):
         lines, cells, notes = usable_rows(table, columns, cells, complaint)
+        notes += restart_notes
         # With fewer, the other checks mean nothing.
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")

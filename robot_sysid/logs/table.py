@@ -22,6 +22,8 @@ from robot_sysid.records import Array, ColumnMap
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
+from robot_sysid.signals.cutoff import FEWEST_SAMPLES
+from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 ROWS = 10_000
 """Number of rows of a log that are read at a time from files that are not text."""
@@ -179,3 +181,34 @@ def read_cells(
     if columns.time is None:
         cells[:, 1] = np.arange(count) / (columns.rate or 1.0)
     return cells, complaint
+
+
+def separate_recordings(table: LogTable, columns: ColumnMap, cells: Array) -> list[str]:
+    """Put the recordings that follow each other in a log behind each other in time; return a note.
+
+    A recording begins where time goes back by more than half of the recording before it. Where one
+    would have too few rows to be filtered, nothing is changed, and no note returned.
+
+    Args:
+        table: the log.
+        columns: the column of each quantity.
+        cells: of all rows, as ``read_cells`` returns them; times are replaced.
+    """
+    time = cells[:, 1]
+    rows = np.flatnonzero(np.isfinite(time))
+    edges = [0]
+    for k in (np.flatnonzero(np.diff(time[rows]) < 0.0) + 1).tolist():
+        first, last, after = time[rows[[edges[-1], k - 1, k]]]
+        if after < 0.5 * (first + last):
+            edges.append(k)
+    if len(edges) == 1 or np.min(np.diff([*edges, len(rows)])) < FEWEST_SAMPLES:
+        return []
+    starts = np.array(edges[1:])
+    stamps = [1, *range(cells.shape[1] - len(columns.joint_time), cells.shape[1])]
+    for before, start in zip(rows[starts - 1], rows[starts]):
+        cells[start:, stamps] += time[before] + RECORDING_SEPARATION - time[start]
+    lines = cells[rows[starts], 0].astype(np.int64)
+    return [
+        f"time starts again at {table.cite(lines)}: {len(edges)} recordings are read, one after "
+        "the other"
+    ]

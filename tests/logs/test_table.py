@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.log_files import motion, notes_of, read_table, table
+from rigs.log_files import (
+    JOINTS,
+    assert_refused,
+    motion,
+    notes_of,
+    read_measurements,
+    read_table,
+    table,
+    write,
+)
 from rigs.refusals import refused
+from robot_sysid.signals.resampling import split_at_gaps
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -53,3 +64,31 @@ def test_a_slide_has_no_full_turn_and_no_degrees(tmp_path):
         read_table(tmp_path, rows)
     assert len(read_table(tmp_path, rows, units="rad")) == 400
     assert len(read_table(tmp_path, rows, is_slide=slide)) == 400
+
+
+@pytest.mark.parametrize("header", [0, 1])
+def test_recordings_that_follow_each_other_in_a_file_are_read_as_pieces(
+    tmp_path, header
+):
+    path = write(tmp_path / "log.csv", table(motion(1000)))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, *lines[1 - header :], *lines[1:]]) + "\n")
+    log = read_measurements(path, JOINTS)
+    assert (
+        f"time starts again at line {1002 + header} and 1 more: 3 recordings"
+        in notes_of(log)
+    )
+    assert np.all(np.diff(log.time) > 0.0)
+    pieces = split_at_gaps(log)
+    assert len(pieces) == 3
+    for piece in pieces:
+        np.testing.assert_array_equal(piece.tau, motion(1000).tau)
+
+
+def test_time_that_goes_back_a_little_or_again_and_again_is_refused(tmp_path):
+    rows = table(motion())
+    rows[200:, 0] -= 0.5
+    assert_refused("run backwards in time", write(tmp_path / "log.csv", rows))
+    rows = table(motion())
+    rows[::7, 0] = 0.0
+    assert_refused("run backwards in time", write(tmp_path / "log.csv", rows))
