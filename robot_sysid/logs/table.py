@@ -125,7 +125,7 @@ def import_optional(module: str, extra: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         hint = install_hint(module.split(".")[0], extra)
-        raise InputError(f"reading this log {hint}") from None
+        raise InputError(f"export this log as CSV; reading it {hint}") from None
 
 
 @contextlib.contextmanager
