@@ -17,13 +17,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions, LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion import (
-    EMPTY,
-    LOADED,
-    AimOptions,
-    ExcitationOptions,
-    LimitOptions,
-)
+from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.records import file_access, option_fields
 from robot_sysid.records.controllers import AUTO, CHOICES
 from robot_sysid.records.option_fields import (
@@ -37,7 +31,7 @@ from robot_sysid.records.option_fields import (
     parse_folder,
 )
 from robot_sysid.simulation import SimulatedArmOptions
-from robot_sysid.wording import option_name, option_setting
+from robot_sysid.wording import option_name
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
 AnyMotionConfig = TypeVar("AnyMotionConfig", bound="MotionConfig")
@@ -407,12 +401,6 @@ class PayloadOptions(OptionRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        letters = EMPTY * len(self.empty) + LOADED * len(self.loaded)
-        if self.order is not None and sorted(self.order) != sorted(letters):
-            raise InputError(
-                f"{option_setting('order', self.order)}: needs {len(self.empty)} times A (the "
-                f"empty logs) and {len(self.loaded)} times B (the loaded ones), such as {letters}"
-            )
         if self.save_torque_scale is not None and self.known_mass is None:
             raise InputError(
                 f"{option_name('save_torque_scale')} is about torque scales; add "

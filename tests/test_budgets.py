@@ -16,25 +16,25 @@ from pathlib import Path
 from rigs.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 3865,
-    "robot_sysid/commands": 9763,
+    "robot_sysid/api": 3889,
+    "robot_sysid/commands": 9822,
     "robot_sysid/damiao": 30130,
     "robot_sysid/diagnosis": 15800,
     "robot_sysid/dynamics": 3036,
     "robot_sysid/estimate": 29089,
-    "robot_sysid/logs": 18764,
+    "robot_sysid/logs": 20154,
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 7048,
+    "robot_sysid/pipeline": 7005,
     "robot_sysid/records": 10384,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 10307,
-    "robot_sysid/servo": 4809,
+    "robot_sysid/servo": 4800,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10740,
-    "tests": 212129,
+    "robot_sysid": 10686,
+    "tests": 213799,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -71,7 +71,6 @@ REFUSED = {
     ),
     "payload a.xml": "--empty LOG... is missing",
     "payload a.xml --empty a.csv": "--loaded LOG... is missing",
-    f"{PAYLOAD} --order AAB": "--order AAB",
     f"{PAYLOAD} --known-mass 1 --as-body load": "--known-mass writes no model",
     f"{PAYLOAD} --save-torque-scale s": "--save-torque-scale is about",
     "a.xml --save-trajectory a.xml": "--save-trajectory would overwrite",

@@ -24,6 +24,7 @@ KUKA = DATA / "kuka_lwr4"
 TX40 = DATA / "tx40"
 TIAGO = DATA / "tiago"
 UR10E = DATA / "ur10e_payload"
+AIRBOT = DATA / "published" / "airbot"
 
 pytestmark = pytest.mark.skipif(
     not DATA.exists(), reason="the logs of real arms are not here"
@@ -207,6 +208,30 @@ def test_tiagos_efforts_are_named_with_the_command_that_weighs_their_constants(
     scales = words[words.index("--torque-scale") + 1].split(",")
     for joint, constant in ((2, 13.6), (3, 8.7), (4, 8.7)):
         assert 0.7 < float(scales[joint]) * constant < 1.4
+
+
+def airbot(run):
+    """The files of positions and of torques of a run, as they were published."""
+    return [str(AIRBOT / f"{half}_chirp_{run}.csv") for half in ("q", "tau")]
+
+
+@pytest.mark.slow
+def test_airbots_files_of_positions_and_torques_are_read_and_weigh_its_load(tmp_path):
+    """They have no time; the load weighs 0.48 kg."""
+    columns = tmp_path / "columns.txt"
+    columns.write_text("rate = 100")
+    model = AIRBOT / "airbot.urdf"
+    options = ["--columns", str(columns)]
+    for run in ("empty", "loaded"):
+        assert main(["log", *airbot(run), str(model), *options]) == 0
+    code, params = identified(tmp_path, model, *airbot("empty"), *options)
+    old_error, new_error = relative_errors(params["file"])
+    assert code == 0 and new_error < 0.4 * old_error
+    arguments = ["--empty", *airbot("empty"), "--loaded", *airbot("loaded"), *options]
+    folder = tmp_path / "payload"
+    assert main(["payload", str(model), *arguments, "--output-dir", str(folder)]) == 0
+    mass = rows(json.loads((folder / "params.json").read_text()))["payload", "mass"]
+    assert abs(mass["value"] - 0.48) < 2.0 * mass["error"] < 0.06
 
 
 WRISTS = ("wrist_1_link", "wrist_2_link", "wrist_3_link")

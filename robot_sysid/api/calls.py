@@ -26,7 +26,7 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics, lin
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table
-from robot_sysid.logs.reader import open_log
+from robot_sysid.logs.reader import open_logs
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
 from robot_sysid.model import ModelOptions
@@ -59,7 +59,7 @@ rad/s]; a data frame with a column per joint and quantity; or a log that was rea
 
 
 def _log_source(log: Any) -> Any:
-    """Return a log as a path, table or open log, which ``logs.reader.open_log`` takes.
+    """Return a log as a path, table or open log, which ``logs.reader.open_logs`` takes.
 
     InputError where it is none of the types of ``Log``.
     """
@@ -101,7 +101,7 @@ def _log_source(log: Any) -> Any:
 
 
 def _log_sources(logs: Log | Sequence[Log]) -> tuple[Any, ...]:
-    """Return one log, or each of several, as something that ``logs.reader.open_log`` takes."""
+    """Return one log, or each of several, as something that ``logs.reader.open_logs`` takes."""
     several = logs if isinstance(logs, (list, tuple)) else (logs,)
     return tuple(map(_log_source, several))
 
@@ -137,11 +137,13 @@ def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Res
 
 
 @with_keywords(options_of_all(LogOptions))
-def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Recording:
+def read_log(
+    log: Log | Sequence[Log], model: Model | RobotModel, **options: Any
+) -> Recording:
     """Recognise, check and read a log of an arm.
 
     Args:
-        log: see ``robot_sysid.Log``.
+        log: see ``robot_sysid.Log``; a file of its positions and one of its torques are a list.
         model: the arm, whose joints' names and limits the log is checked against.
         options: what ``LogOptions`` takes, such as ``columns`` or ``units="deg,ms"``.
 
@@ -152,7 +154,10 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Recording:
         InputError: it cannot be read, is ambiguous or cannot be what it seems to be.
     """
     robot = model if isinstance(model, RobotModel) else arm_of(model, {})
-    return open_log(robot, _log_source(log), record_from(LogOptions, options))
+    logs = open_logs(robot, _log_sources(log), record_from(LogOptions, options))
+    if len(logs) != 1:
+        raise InputError(f"{len(logs)} logs are given: read them one by one")
+    return logs[0]
 
 
 @with_options_of(IdentifyConfig)

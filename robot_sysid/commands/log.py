@@ -8,12 +8,14 @@ from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
+from robot_sysid.errors import InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
 from robot_sysid.records.option_fields import (
     Option,
     given_values,
+    leaves,
     options_of_all,
     record_from,
 )
@@ -28,14 +30,17 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     from robot_sysid.diagnosis.gate import judge, require_acceptable
     from robot_sysid.estimate.options import EstimationOptions
     from robot_sysid.estimate.questions import Question
-    from robot_sysid.logs.reader import open_log
+    from robot_sysid.logs.reader import open_logs
     from robot_sysid.parser import load_robot_model
 
-    path = values["log"]
+    paths = [*map(Path, leaves(values["log"]))]
     log_options = record_from(LogOptions, values)
     model_options = record_from(ModelOptions, values)
     robot = load_robot_model(values["path"], **given_values(model_options))
-    log = open_log(robot, path, log_options, console)
+    log, *others = open_logs(robot, paths, log_options, console)
+    if others:
+        listed = ", ".join(map(str, [log, *others]))
+        raise InputError(f"{listed} are logs of their own: check them one by one")
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     count = len(log)
     rate = (count - 1) / log.duration
@@ -55,12 +60,18 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     )
     require_acceptable([log], findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
-    console.stage(*step_after(SAME_LOG, values, log=path).lines())
+    console.stage(*step_after(SAME_LOG, values, log=paths).lines())
     return 0
 
 
 _ARGUMENTS = (
-    Option("log", "file or folder of the recording", metavar="LOG", parse=Path),
+    Option(
+        "log",
+        "file or folder of the recording; or its positions in one and its torques in another",
+        metavar="LOG",
+        parse=Path,
+        takes_many=True,
+    ),
     Option("path", "MJCF or URDF file", metavar="MODEL", parse=Path),
 )
 COMMANDS = (

@@ -33,8 +33,9 @@ def remedies(
     if error.command_lines:
         return
     # A file may name one log as a text, not as a list.
-    logs = tuple(map(values.get, ("log", "measurements", "empty")))
-    log = next((Path(path) for path in leaves(logs) if path), None)
+    keys = ("log", "measurements", "empty")
+    logs = next(filter(None, map(values.get, keys)), ())
+    paths = [*map(Path, leaves(logs))]
     typed = [PROGRAM, *name.split(), *arguments]
     # The corrected columns file has all lines of the one in use.
     if isinstance(error, ColumnsError) and "--columns" in typed:
@@ -42,15 +43,15 @@ def remedies(
         del typed[at : at + 2]
     for option in error.options:
         # A payload of known mass has all that the weighing needs, but for the first scales.
-        if error.command == "payload" and log and "known_mass" not in values:
+        if error.command == "payload" and paths and "known_mass" not in values:
             # The recording with the weight has the form of the log, and lies beside it.
-            weight = log.with_name(f"weight{log.suffix}")
+            weight = paths[0].with_name(f"weight{paths[0].suffix}")
             state = "torque scales unknown"
-            step = step_after(state, values, *option, log=log, weight=weight)
+            step = step_after(state, values, *option, log=paths, weight=weight)
             yield shlex.join(step.command)
         # Only that command has these options, or who has stated columns goes on to it.
         elif name == "log" and (error.command or isinstance(error, ColumnsError)):
-            step = step_after(SAME_LOG, values, *option, log=log)
+            step = step_after(SAME_LOG, values, *option, log=paths)
             yield shlex.join(step.command)
         elif error.command in ("", name):
             yield shlex.join([*typed, *option])

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from robot_sysid.logs.column_map import (
     read_columns_file,
     recognise_columns,
 )
+from robot_sysid.logs.halves import join_halves
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.table import LogTable, as_input_errors
@@ -76,6 +78,35 @@ def open_log(
     pieces = piece_notes(recording, split_at_gaps(recording))
     notes = (*details, *source_notes, *recording.notes, *pieces)
     return replace(recording, notes=notes, options=vars(options))
+
+
+def open_logs(
+    robot: RobotModel,
+    sources: Iterable[Path | LogTable | Recording],
+    options: LogOptions,
+    progress: Progress | None = None,
+    kind: str = "",
+) -> list[Recording]:
+    """Return the recordings in logs of an arm; a file of positions and one of torques are one log.
+
+    Args:
+        robot: see ``open_log``.
+        sources: see ``open_log``; the order is kept.
+        options: see ``open_log``.
+        progress: receives a stage per log, and the progress of reading.
+        kind: what the logs are, for the stages; "" for no stages.
+    """
+    opened: list[Any] = []
+    for source in sources:
+        if kind and progress:
+            progress.stage(f"Reading {kind} {source}...")
+        if not isinstance(source, (LogTable, Recording)):
+            source = open_table(Path(source), robot.joint_names, options)
+        opened.append(source)
+    if not any(isinstance(source, Recording) for source in opened):
+        driven = {"command"} if options.commanded else {"torque", "current"}
+        opened = join_halves(opened, robot.joint_names, driven)
+    return [open_log(robot, source, options, progress) for source in opened]
 
 
 def _refuse_other_reading(
@@ -182,7 +213,7 @@ _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
 # What to do where columns are not recognised.
 _REMEDY = (
     "say which column is what with {columns FILE}, of lines such as 'position = A, B, C' with a "
-    "title for each joint"
+    "title for each joint; a file of the torques, or of the positions, is given behind this one"
 )
 # Fields of options that change what is read from a log.
 _READING_OPTIONS = ("columns", "units", "topic", "episode")

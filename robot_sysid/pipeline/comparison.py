@@ -18,7 +18,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import DRIFT, PAYLOAD_NAMES
-from robot_sysid.logs.reader import open_log, refuse_repeated_logs
+from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records.file_access import RUN_NAME, read_toml
 from robot_sysid.records.messages import Progress, with_error
@@ -64,9 +64,9 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
         accepted |= {*config.log.accept}
         for path in config.log.measurements:
             progress.stage(f"Reading {path}...")
-            log = open_log(robot, path, config.log)
-            logs.append(log)
-            orders.append(order)
+        of_run = open_logs(robot, config.log.measurements, config.log)
+        logs += of_run
+        orders += [order] * len(of_run)
     refuse_repeated_logs(logs)
     progress.stage("Fitting both runs at once...")
     first = configs[0]

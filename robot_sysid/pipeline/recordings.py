@@ -5,15 +5,15 @@ it, or an arm that another model plays.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, SelfTestConfig
 from robot_sysid.diagnosis.gate import judge, usable
+from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import predicted
@@ -21,11 +21,10 @@ from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import errors_on, fit_file
 from robot_sysid.estimate.result import link_result
-from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log, origin_of, refuse_repeated_logs
+from robot_sysid.logs.reader import open_log, open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import find_flange
-from robot_sysid.motion import LOADED
+from robot_sysid.motion import EMPTY, LOADED
 from robot_sysid.records import (
     Array,
     DataOrigin,
@@ -58,13 +57,12 @@ def identify_logs(
         InputError: a log cannot be read or is refused.
     """
     options = config.log
-    sources = [("measurements from", path) for path in options.measurements]
-    if options.validation_measurements is not None:
-        sources.append(("", options.validation_measurements))
-    read = _read_logs(sources, robot, options, progress)
+    kind = "measurements from"
+    logs = open_logs(robot, options.measurements, options, progress, kind)
+    tested = options.validation_measurements
+    tests = [] if tested is None else [open_log(robot, tested, options, progress)]
+    refuse_repeated_logs([*logs, *tests])
     question = Question(config.estimation)
-    n_logs = len(options.measurements)
-    logs, tests = read[:n_logs], read[n_logs:]
     progress.stage("Solving for parameters...")
     judged = judge(robot, logs, question, progress)
     fitted, notes = usable(judged, options.accept, progress)
@@ -145,32 +143,6 @@ def _result(
     return link_result(fitted, file, errors, origin, notes, of_file)
 
 
-def _read_logs(
-    sources: Iterable[tuple[str, Path]],
-    robot: RobotModel,
-    options: LogOptions,
-    progress: Progress,
-) -> list[Recording]:
-    """Return all logs of a run, in their order.
-
-    Args:
-        sources: what a log is, as it is said while it is read, or "" to say nothing; its path.
-        robot: the arm.
-        options: how they are read.
-        progress: receives a stage per log, and notes.
-
-    Raises:
-        InputError: a log cannot be read, or is there twice.
-    """
-    logs = []
-    for kind, path in sources:
-        if kind:
-            progress.stage(f"Reading {kind} {path}...")
-        logs.append(open_log(robot, path, options, progress))
-    refuse_repeated_logs(logs)
-    return logs
-
-
 def identify_payload(
     config: PayloadConfig, robot: RobotModel, progress: Progress
 ) -> Identification:
@@ -188,10 +160,17 @@ def identify_payload(
     flange = find_flange(robot, options.flange)
     if flange.note:
         progress.note(flange.note)
-    sources = [("empty log", path) for path in options.empty]
-    sources += [("loaded log", path) for path in options.loaded]
-    logs = _read_logs(sources, robot, config.log, progress)
-    is_loaded = np.arange(len(logs)) >= len(options.empty)
+    empty = open_logs(robot, options.empty, config.log, progress, "empty log")
+    loaded = open_logs(robot, options.loaded, config.log, progress, "loaded log")
+    logs = [*empty, *loaded]
+    refuse_repeated_logs(logs)
+    is_loaded = np.arange(len(logs)) >= len(empty)
+    letters = EMPTY * len(empty) + LOADED * len(loaded)
+    if options.order is not None and sorted(options.order) != sorted(letters):
+        raise InputError(
+            f"{option_setting('order', options.order)}: needs {len(empty)} times A (the empty "
+            f"logs) and {len(loaded)} times B (the loaded ones), such as {letters}"
+        )
     positions = order_positions(logs, options.order)
     drifts = positions is not None and is_drift_identifiable(is_loaded, positions)
     # Where the order is not known, a drift may have come with the payload.

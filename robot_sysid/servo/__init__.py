@@ -18,7 +18,7 @@ from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import ExportError
 from robot_sysid.export import Written, remove_earlier, writable_folder
 from robot_sysid.logs import FittedLogOptions
-from robot_sysid.logs.reader import open_log, origin_of, refuse_repeated_logs
+from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.mjcf.updated_model import ElementChange
 from robot_sysid.records import (
     Array,
@@ -259,15 +259,15 @@ def identify_servos(
         progress: receives each stage.
     """
     test_path = logs.validation_measurements
-    opened = []
-    for path in (*logs.measurements, *filter(None, [test_path])):
-        progress.stage(f"Reading commands and positions from {path}...")
-        opened.append(open_log(robot, path, replace(logs, commanded=True), progress))
+    kind = "commands and positions from"
+    options = replace(logs, commanded=True)
+    test_paths = [*filter(None, [test_path])]
+    fitted_logs = open_logs(robot, logs.measurements, options, progress, kind)
+    tests = open_logs(robot, test_paths, options, progress, kind)
+    opened = [*fitted_logs, *tests]
     refuse_repeated_logs(opened)
     check_commands(opened, robot.joint_names)
-    fitted_logs = opened[: len(logs.measurements)]
     fitted: list[Recording] = [*chain(*map(split_at_gaps, fitted_logs))]
-    tests = opened[len(fitted_logs) :]
     held_out: list[Recording] = [*chain(*map(split_at_gaps, tests))]
     if test_path is None:
         ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]

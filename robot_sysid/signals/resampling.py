@@ -43,7 +43,7 @@ def resample_uniformly(recording: Recording) -> Recording:
         )
         notes = (*notes, text)
         grid, q, tau = _interpolate(recording, rate)
-        hole = _bridged_hole(time, grid, rate)
+        hole = bridged_hole(time, grid, rate)
     hole[np.interp(grid, time, recording.is_left_out) > 0.0] = np.inf
     return Recording(
         grid,
@@ -103,7 +103,7 @@ def _interpolate(recording: Recording, rate: float) -> tuple[Array, Array, Array
     return grid, q, tau
 
 
-def _bridged_hole(time: Array, grid: Array, rate: float) -> Array:
+def bridged_hole(time: Array, grid: Array, rate: float) -> Array:
     """Return (K,) the length of the hole between the time stamps (N,) of a log that each instant of
     a grid (K,) at a rate [Hz] lies in [s]; zero outside holes and next to a time stamp.
     """

@@ -40,6 +40,19 @@ def late(log):
     return replace(log, tau=tau)
 
 
+def write_halves(folder, name):
+    """Write positions of a log as q_NAME.csv and its torques as tau_NAME.csv."""
+    rows = [
+        line.split(",") for line in (folder / f"{name}.csv").read_text().splitlines()
+    ]
+    for half, word in (("q", "position"), ("tau", "torque")):
+        kept = [
+            k for k, title in enumerate(rows[0]) if "time" in title or word in title
+        ]
+        lines = [",".join(row[k] for k in kept) for row in rows]
+        (folder / f"{half}_{name}.csv").write_text("\n".join(lines) + "\n")
+
+
 @pytest.fixture(scope="module")
 def folder(truth, tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
@@ -54,6 +67,8 @@ def folder(truth, tmp_path_factory):
             folder / f"{name}.csv", truth.robot.joint_names, [finding]
         )
     text = (folder / "log.csv").read_text()
+    for name in ("log", "turned"):
+        write_halves(folder, name)
     (folder / "odd.csv").write_text(
         text.replace("joint0_torque", "joint0_torque\x1b[2J")
     )
@@ -98,6 +113,34 @@ def test_a_turned_sign_is_put_right_with_the_command_that_is_named(folder, comma
     assert lines[1:] == ["torque.joint1 = -joint1_torque"]
     right = command.run(f"log turned.csv arm.xml {words}")
     assert "nothing that stops an identification was found" in right.out
+
+
+def test_positions_and_torques_in_two_files_are_one_log(command):
+    """The commands that are printed name both files."""
+    printed = command.run("log q_log.csv tau_log.csv arm.xml").out
+    assert "nothing that stops an identification was found" in printed
+    last = printed.splitlines()[-1]
+    assert last == "  robot-sysid identify arm.xml q_log.csv tau_log.csv"
+    refused = command.run("log q_turned.csv tau_turned.csv arm.xml", code=2).err
+    words = "--columns q_turned_columns.txt"
+    last = refused.splitlines()[-1]
+    assert last == f"  robot-sysid identify arm.xml q_turned.csv tau_turned.csv {words}"
+
+
+def test_half_a_log_and_two_logs_are_refused(command):
+    text = command.run("log q_log.csv arm.xml", code=2).err
+    assert (
+        "a file of the torques, or of the positions, is given behind this one" in text
+    )
+    text = command.run("log log.csv turned.csv arm.xml", code=2).err
+    assert "log.csv, turned.csv are logs of their own: check them one by one" in text
+
+
+def test_the_order_of_a_payload_has_a_letter_for_each_log_not_for_each_file(command):
+    empty = "--empty q_log.csv tau_log.csv"
+    loaded = "--loaded q_turned.csv tau_turned.csv"
+    text = command.run(f"payload arm.xml {empty} {loaded} --order AABB", code=2).err
+    assert "--order AABB: needs 1 times A (the empty logs) and 1 times B" in text
 
 
 def test_a_file_of_scales_says_how_sure_they_are(folder, command, truth, monkeypatch):

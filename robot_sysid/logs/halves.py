@@ -1,0 +1,188 @@
+"""Logs of which positions and torques lie in files of their own, joined to one table.
+
+Two files with times are joined by time, others row by row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.arrays import array_blocks
+from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.titles import UNITS, read_title
+from robot_sysid.records import Array
+from robot_sysid.signals.resampling import bridged_hole, sampling_period
+
+
+def join_halves(
+    tables: Sequence[LogTable], joint_names: Sequence[str], driven: Collection[str]
+) -> list[LogTable]:
+    """Return tables, with each file of positions alone joined with the file of its torques.
+
+    The first file of positions belongs to the first of torques, and so on.
+
+    Args:
+        tables: of the files, in the order in which the user gave them.
+        joint_names: (n,) of the arm.
+        driven: quantities that are needed beside positions, such as torque.
+
+    Raises:
+        InputError: the numbers of files differ, or two of them cannot be joined.
+    """
+    positions = []
+    torques = []
+    for table in tables:
+        has_position = bool(_columns(table, joint_names, {"position"}))
+        has_torque = bool(_columns(table, joint_names, driven))
+        if has_position and not has_torque:
+            positions.append(table)
+        elif has_torque and not has_position:
+            torques.append(table)
+    if not positions or not torques:
+        return [*tables]
+    if len(positions) != len(torques):
+        listed = "; ".join(", ".join(map(str, group)) for group in (positions, torques))
+        raise InputError(
+            "the first file of positions belongs to the first file of torques, and so on, but "
+            f"their numbers differ: {listed}"
+        )
+    joined = []
+    for table in tables:
+        if table in positions:
+            torque = torques[positions.index(table)]
+            joined.append(_join(table, torque, joint_names, driven))
+        elif table not in torques:
+            joined.append(table)
+    return joined
+
+
+def _columns(
+    table: LogTable, joint_names: Sequence[str], quantities: Collection[str]
+) -> list[int]:
+    """Return the indices of the columns of a table that hold some quantities."""
+    titles = [read_title(text, joint_names) for text in table.titles]
+    quantity_of = [title.quantity_beside_name for title in titles]
+    return [k for k, quantity in enumerate(quantity_of) if quantity in quantities]
+
+
+def _join(
+    position: LogTable,
+    torque: LogTable,
+    joint_names: Sequence[str],
+    driven: Collection[str],
+) -> LogTable:
+    """Return the rows of a table of positions beside those of a table of torques."""
+    q_time = _row_time(position, joint_names)
+    tau_time = _row_time(torque, joint_names)
+    q_columns = _columns(position, joint_names, {"position", "velocity"})
+    tau_columns = _columns(torque, joint_names, driven)
+    q = _cells(position, [*q_time, *q_columns])
+    tau = _cells(torque, [*tau_time, *tau_columns])
+    how = "row by row"
+    if q_time and tau_time:
+        # The times of both in the unit of the first.
+        tau[:, 0] *= _unit(torque, tau_time[0]) / _unit(position, q_time[0])
+        if len(q) != len(tau) or not _are_equal(q[:, 0], tau[:, 0]):
+            q, tau, how = _interpolate(position, torque, q, tau)
+        tau = tau[:, 1:]
+    elif len(q) != len(tau):
+        raise InputError(
+            f"{position} has {len(q)} rows of positions and {torque} {len(tau)} of torques, and "
+            "they have no times by which they could be joined; give files of one run, or write "
+            "the time into both"
+        )
+    else:
+        tau_columns = [*tau_time, *tau_columns]
+    # Columns that are not read keep their place: they may list the joints' names.
+    cells = np.full((len(q), len(position.titles)), np.nan)
+    cells[:, [*q_time, *q_columns]] = q
+    return replace(
+        position,
+        titles=(*position.titles, *(torque.titles[k] for k in tau_columns)),
+        blocks=partial(array_blocks, [cells, tau]),
+        choices=position.choices.over(torque.choices),
+        row_noun="row",
+        notes=(
+            *position.notes,
+            *torque.notes,
+            f"positions of {position} and torques of {torque} are one log, joined {how}",
+        ),
+    )
+
+
+def _row_time(table: LogTable, joint_names: Sequence[str]) -> list[int]:
+    """Return the index of the column of the rows' times in a list; [] for none, or several."""
+    columns = []
+    for index in _columns(table, joint_names, {"time"}):
+        title = read_title(table.titles[index], joint_names)
+        if title.quantity == "time" and not title.numbers:
+            columns.append(index)
+    return columns if len(columns) == 1 else []
+
+
+def _unit(table: LogTable, column: int) -> float:
+    """Return the unit of a column of times that its title names [s]; one second for none."""
+    return UNITS["time"].get(read_title(table.titles[column]).unit, 1.0)
+
+
+def _cells(table: LogTable, columns: Sequence[int]) -> Array:
+    """Return all rows of a table with some of its columns."""
+    return np.concatenate([block.cells for block in table.rows(columns)])
+
+
+def _are_equal(times: Array, others: Array) -> bool:
+    """Return whether two arrays of times (N,) deviate by less than a hundredth of their step."""
+    return bool(np.nanmax(np.abs(times - others)) < 0.01 * sampling_period(times))
+
+
+def _interpolate(
+    position: LogTable, torque: LogTable, q: Array, tau: Array
+) -> tuple[Array, Array, str]:
+    """Return rows of positions and of torques at the same instants, and how torques were found.
+
+    Args:
+        position, torque: the tables, for messages.
+        q, tau: their rows, with time in front.
+
+    Raises:
+        InputError: they have other sampling rates, or hardly overlap in time.
+    """
+    from scipy.interpolate import CubicSpline
+
+    q, tau = (_increasing(cells) for cells in (q, tau))
+    start, end = max(q[0, 0], tau[0, 0]), min(q[-1, 0], tau[-1, 0])
+    lasting = [f"from {cells[0, 0]:.6g} to {cells[-1, 0]:.6g}" for cells in (q, tau)]
+    if end - start < 0.5 * min(np.ptp(q[:, 0]), np.ptp(tau[:, 0])):
+        raise InputError(
+            f"{position} lasts {lasting[0]} and {torque} {lasting[1]}: less than half is common "
+            "to both; give files of one run with times of one clock"
+        )
+    periods = [sampling_period(cells[:, 0]) for cells in (q, tau)]
+    if not 0.95 < periods[0] / periods[1] < 1.05:
+        raise InputError(
+            f"{position} has a row each {periods[0]:.4g} and {torque} each {periods[1]:.4g} of "
+            "time, which cannot be joined; export both at one rate"
+        )
+    is_common = (q[:, 0] >= start) & (q[:, 0] <= end)
+    common = q[is_common]
+    values = CubicSpline(tau[:, 0], tau)(common[:, 0])
+    # Nothing is known within a hole.
+    hole = bridged_hole(tau[:, 0], common[:, 0], 1.0 / periods[1])
+    values[hole > 0.0] = np.nan
+    how = (
+        "by time: torques are interpolated at the times of positions, which both have in "
+        f"{len(common)} of {len(q)} rows"
+    )
+    return common, values, how
+
+
+def _increasing(cells: Array) -> Array:
+    """Return the rows of numbers that are later than all before; time is their first column."""
+    rows = cells[np.isfinite(cells).all(axis=1)]
+    is_later = np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0.0
+    return rows[is_later]

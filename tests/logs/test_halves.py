@@ -1,0 +1,132 @@
+"""Positions in one file and torques in another are one log, as if one file had both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rigs.log_files import JOINTS, arm_of, assert_samples, motion, notes_of, write
+from rigs.refusals import refused
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import open_logs
+from robot_sysid.records import Recording
+
+DATA = motion(600)
+Q = ("q1", "q2", "q3")
+TAU = ("tau0", "tau1", "tau2")
+
+
+def write_half(folder, name, time, values, titles):
+    """Write quantities with a column of time, or without where ``time`` is None."""
+    if time is None:
+        return write(folder / name, values.tolist(), titles)
+    rows = np.column_stack((time, values))
+    return write(folder / name, rows.tolist(), ("time", *titles))
+
+
+def halves(folder, q_time, tau_time, q=DATA.q, tau=DATA.tau, name=""):
+    positions = write_half(folder, f"q{name}.csv", q_time, q, Q)
+    torques = write_half(folder, f"tau{name}.csv", tau_time, tau, TAU)
+    return [positions, torques]
+
+
+def read(paths, **options) -> list[Recording]:
+    return open_logs(arm_of(JOINTS), paths, LogOptions(**options))
+
+
+def without_speed(data: Recording) -> Recording:
+    return Recording(data.time, data.q, None, data.tau)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("timed", [(0, 1), (0,), (1,)])
+def test_two_halves_read_as_the_file_with_both(tmp_path, timed, swapped):
+    times = [DATA.time if k in timed else None for k in range(2)]
+    paths = halves(tmp_path, *times)
+    (log,) = read(paths[::-1] if swapped else paths)
+    assert_samples(without_speed(DATA), log)
+    assert "q.csv and torques of " in notes_of(log) and "row by row" in notes_of(log)
+    assert log.name == str(paths[0])
+
+
+def test_halves_without_time_need_a_rate_and_as_many_rows(tmp_path):
+    columns = tmp_path / "columns.txt"
+    columns.write_text("rate = 200")
+    paths = halves(tmp_path, None, None)
+    with refused("no time column"):
+        read(paths)
+    (log,) = read(paths, columns=columns)
+    assert_samples(without_speed(DATA), log, atol=1e-15)
+    for times in ((None, None), (DATA.time[:-1], None)):
+        paths = halves(tmp_path, *times, q=DATA.q[:-1])
+        with refused("599 rows of positions and .* 600 of torques"):
+            read(paths, columns=columns)
+
+
+def test_a_torque_that_was_read_later_is_interpolated_by_its_time(tmp_path):
+    """Half a step beside the positions, and 0.3 s later: rows of one index are other instants."""
+    torque_time = DATA.time + 0.3 + 0.0025
+    later = np.sin(np.outer(torque_time, [2.0, 3.0, 4.0]))
+    (log,) = read(halves(tmp_path, DATA.time, torque_time, tau=later))
+    expected = np.sin(np.outer(log.time, [2.0, 3.0, 4.0]))
+    np.testing.assert_allclose(log.tau, expected, rtol=0.0, atol=1e-6)
+    assert (
+        "interpolated at the times of positions, which both have in 539 of 600"
+        in notes_of(log)
+    )
+    np.testing.assert_array_equal(log.q, DATA.q[61:])
+
+
+def test_nothing_is_interpolated_within_a_hole_of_the_torques(tmp_path):
+    kept = np.r_[0:200, 210:600]
+    (log,) = read(halves(tmp_path, DATA.time, DATA.time[kept], tau=DATA.tau[kept]))
+    assert_samples(without_speed(DATA[kept]), log, ("q", "tau", "time"), atol=1e-9)
+    assert "empty or NaN cells: 10 " in notes_of(log)
+
+
+@pytest.mark.parametrize(
+    ("time", "rows", "fault"),
+    [
+        (DATA.time + 2.0, 1, "from 0 to 2.995 and .* from 2 to 4.995: less than half"),
+        (DATA.time + 1.7e9, 1, "less than half is common"),
+        (DATA.time, 4, "a row each 0.005 and .* each 0.02 of time"),
+    ],
+)
+def test_halves_of_other_times_or_rates_are_refused(tmp_path, time, rows, fault):
+    paths = halves(tmp_path, DATA.time, time[::rows], tau=DATA.tau[::rows])
+    with refused(fault):
+        read(paths)
+
+
+def test_units_of_time_in_titles_are_those_of_each_file(tmp_path):
+    paths = halves(tmp_path, DATA.time, 1e3 * DATA.time)
+    text = paths[1].read_text().replace("time,", "time [ms],")
+    paths[1].write_text(text)
+    (log,) = read(paths)
+    assert_samples(without_speed(DATA), log)
+
+
+def test_several_halves_are_paired_in_their_order_beside_whole_logs(tmp_path):
+    other = DATA[:500]
+    first = halves(tmp_path, DATA.time, DATA.time)
+    second = halves(tmp_path, other.time, other.time, other.q, other.tau, "2")
+    whole = write_half(
+        tmp_path, "log.csv", DATA.time, np.hstack((DATA.q, DATA.tau)), Q + TAU
+    )
+    for paths in (
+        [*first, *second, whole],
+        [first[0], second[0], whole, first[1], second[1]],
+    ):
+        logs = read(paths)
+        assert [len(log) for log in logs] == [600, 500, 600]
+    with refused("their numbers differ: .*q.csv, .*q2.csv; .*tau.csv"):
+        read([first[0], second[0], first[1]])
+
+
+def test_commanded_positions_in_a_file_of_their_own_are_read_for_servos(tmp_path):
+    paths = halves(tmp_path, DATA.time, DATA.time)
+    titles = ("time", "q_des1", "q_des2", "q_des3")
+    rows = np.column_stack((DATA.time, DATA.q + 0.01))
+    paths[1] = write(tmp_path / "command.csv", rows.tolist(), titles)
+    (log,) = read(paths, commanded=True)
+    np.testing.assert_allclose(log.tau, 0.01, rtol=0.0, atol=1e-15)
