@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10686,
-    "tests": 213799,
+    "tests": 213874,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -142,7 +142,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse all arguments; InputError for an unknown option suggests the nearest one."""
-        namespace, unknown = self.parse_known_args(args, namespace)
+        namespace, unknown = self.parse_known_intermixed_args(args, namespace)
         if unknown:
             flags = [flag for action in self._actions for flag in action.option_strings]
             flag = unknown[0].split("=")[0]

@@ -150,3 +150,12 @@ def test_the_version_is_printed(capsys):
 def test_identify_has_few_options(capsys):
     lines = help_lines(["identify", "--help-all"], capsys)
     assert sum(line.startswith("  -") for line in lines) <= MOST_OPTIONS
+
+
+@pytest.mark.parametrize(
+    "line", ["q t --units deg m", "q --units deg t m", "q t m --units deg"]
+)
+def test_options_may_stand_between_the_files_of_a_list(line):
+    values, _ = COMMANDS["log"].parse(line.split())
+    files = {"log": (Path("q"), Path("t")), "path": Path("m")}
+    assert values == {**files, "units": "deg"}
