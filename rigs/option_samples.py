@@ -19,6 +19,7 @@ from robot_sysid.records.option_fields import Option, command_arguments
 
 # Values that cannot be made from the kind of value alone.
 _CHOSEN = {
+    "gravity": (1.0, 0.0, -0.5),
     "workspace": (-1.0, 1.0, -1.0, 1.0, 0.0, 2.0),
     "keep_out": ((0.0, 0.0, 1.0, -0.5),),
     "motor_type": ("DM4340", "DM4310"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links
 from robot_sysid.model.chain import (
@@ -26,7 +27,7 @@ from robot_sysid.model.chain import (
 from robot_sysid.model.compilation import InMemory, compile_model, is_in_memory
 from robot_sysid.model.stated import placeholder_notes, with_references
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
-from robot_sysid.records import RobotModel
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 from robot_sysid.wording import option_name, option_setting
 
@@ -38,6 +39,7 @@ def load_robot_model(
     max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
     mass_scale: float | None = None,
+    gravity: Sequence[float] | Array | None = None,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
 
@@ -49,11 +51,13 @@ def load_robot_model(
             limit in the model counts.
         keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
         mass_scale: by which all its masses and moments of inertia are multiplied.
+        gravity: (3,) direction in which it acts, of any length, in the model's axes; default as
+            the file says, which also says how large it is.
 
     Raises:
         ModelError: the file cannot be used; says why.
         AmbiguousJointError: several joints could be the terminal one.
-        InputError: there is no such keyframe; lists those there are.
+        InputError: there is no such keyframe, and those there are; or no such direction.
     """
     path = Path("model" if is_in_memory(model) else model)
     compiled = compile_model(model, mesh_dir)
@@ -96,6 +100,10 @@ def load_robot_model(
     robot = with_mass_scale(robot, mass_scale or 1.0)
     refuse_cad_units(robot)
     notes = [*robot.notes]
+    if gravity is not None:
+        robot = with_gravity(robot, _turned_gravity(robot, gravity))
+        x, y, z = gravity
+        notes.append(f"gravity is taken to act along ({x:g}, {y:g}, {z:g})")
     if mass_scale is not None:
         notes.append(
             f"the model's masses and moments of inertia are taken {mass_scale:g} times"
@@ -118,6 +126,27 @@ def load_robot_model(
         notes.append(f"{base} drive a mobile base, which is taken to stand still")
     notes += [*placeholder_notes(links), *_notes_on_what_is_left_out(robot)]
     return replace(robot, notes=tuple(notes))
+
+
+def _turned_gravity(robot: RobotModel, direction: Sequence[float] | Array) -> Array:
+    """Return gravity (3,) that acts along a direction (3,), as large as in the model [m/s^2].
+
+    InputError where that is no direction, or the model has no gravity.
+    """
+    vector = np.array(direction, dtype=float)
+    length = np.linalg.norm(vector)
+    size = np.linalg.norm(gravity_vector(robot))
+    if vector.shape != (3,) or not 0.0 < length < np.inf:
+        raise InputError(
+            f"{option_name('gravity', 'X Y Z')} takes a direction, three numbers that are not all "
+            "0, such as 1 0 0"
+        )
+    if size == 0.0:
+        raise InputError(
+            f"{robot.path} has no gravity that {option_name('gravity')} could turn; state one in "
+            "the model"
+        )
+    return size / length * vector
 
 
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:

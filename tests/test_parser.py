@@ -92,6 +92,30 @@ def test_a_keyframe_that_is_not_there_is_refused(xml, there):
         robot_of(xml, keyframe="home")
 
 
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0.0, -3.0, 4.0)])
+def test_gravity_acts_along_the_direction_that_is_stated(arm_file, direction):
+    """It is as large as in the file, whatever the length of the direction."""
+    path = arm_file(arms.THREE)
+    size = np.linalg.norm(load_robot_model(path).mj_model.opt.gravity)
+    robot = load_robot_model(path, gravity=direction)
+    expected = size * np.array(direction) / np.linalg.norm(direction)
+    assert_allclose(robot.mj_model.opt.gravity, expected, atol=1e-12)
+    assert any("gravity is taken to act along" in note for note in robot.notes)
+
+
+@pytest.mark.parametrize("direction", [(0, 0, 0), (1, 0), (np.nan, 0, 1)])
+def test_what_is_no_direction_of_gravity_is_refused(arm_file, direction):
+    path = arm_file(arms.THREE)
+    with refused("--gravity X Y Z takes a direction"):
+        load_robot_model(path, gravity=direction)
+
+
+def test_a_model_without_gravity_has_none_to_turn(arm_file):
+    text = arms.THREE.replace("<worldbody>", '<option gravity="0 0 0"/><worldbody>', 1)
+    with refused("has no gravity that --gravity could turn"):
+        load_robot_model(arm_file(text), gravity=(1, 0, 0))
+
+
 def test_a_weightless_link_is_refused():
     model = compile_xml(arms.THREE)
     model.body_mass[3] = 0.0

@@ -83,7 +83,7 @@ COMMANDS = (
         {
             "": _ARGUMENTS,
             "model": options_of_all(
-                ModelOptions, only=("mesh_dir", "joint", "mass_scale")
+                ModelOptions, only=("mesh_dir", "joint", "mass_scale", "gravity")
             ),
             "log": options_of_all(LogOptions),
         },

@@ -40,6 +40,7 @@ from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, torque_unit, with_error
+from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name, with_option_names
 
@@ -534,14 +535,21 @@ def mounted(
     cosine = np.clip(level @ gravity / (level @ level), -1.0, 1.0)
     angle = float(np.degrees(np.arccos(cosine)))
     error = np.degrees(np.sqrt(np.max(np.diag(after.inverse)[at])))
-    numbers = " ".join(f"{value:.2f}" for value in gravity + 0.0)
+    direction = gravity / np.linalg.norm(gravity)
+    largest = np.argmax(np.abs(direction))
+    axis = np.eye(3)[largest] * np.sign(direction[largest])
+    off = np.degrees(np.arccos(min(direction @ axis, 1.0)))
+    # Arms are mounted along an axis, but for what the fit of a file turns gravity by.
+    if off < max(INTERVAL * error, GRAVITY_IN_FILE):
+        direction = axis
+    numbers = [f"{value:.4g}" for value in np.round(direction, 3) + 0.0]
     finding = Finding(
         Level.REFUSES,
         "tilt",
         f"gravity acts {with_error(angle, error, 'degrees')} from the model's: the base is mounted "
         "otherwise, on a wall or a ceiling",
-        f'turn it in the model (MJCF: gravity="{numbers}" of <option>, or euler of the base\'s '
-        "body; URDF: rpy of the first joint's origin)",
+        f"state its direction ({', '.join(numbers)}) with {option_name('gravity')}",
+        (("--gravity", *numbers),),
     )
     # A base that is less tilted is mounted as the model says.
     return after, [finding] if angle > 5.0 else []

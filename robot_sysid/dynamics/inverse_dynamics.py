@@ -387,7 +387,7 @@ def with_gravity(robot: RobotModel, gravity: Array) -> RobotModel:
     """Return the arm under another gravity (3,) [m/s^2], with a MuJoCo model of its own."""
     mj_model = copy.copy(robot.mj_model)
     mj_model.opt.gravity[:] = gravity
-    return replace(robot, mj_model=mj_model)
+    return replace(robot, mj_model=mj_model, gravity=gravity)
 
 
 def tilt_axes(gravity: Array) -> Array:

@@ -66,9 +66,9 @@ def error_without_rotors(file: Fit) -> Validation:
 
 
 def gravity_in(file: Fit) -> Array | None:
-    """Return the gravity (3,) of a fitted model file [m/s^2]; None where it stays."""
+    """Return the gravity (3,) of a fitted model file [m/s^2]; None where the file keeps its own."""
     if TILT_NAMES[0] not in file.names:
-        return None
+        return file.arm.robot.gravity
     angles = file.values[file.at(TILT_NAMES)]
     return turn_gravity(file.point.gravity, angles)
 

@@ -478,15 +478,14 @@ def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
                 f"m{parameter.unit} too large; the links are those of the true positions"
             )
     gravity = None if file is None else gravity_in(file)
-    if gravity is not None:
-        level = gravity_vector(fitted.arm.robot)
+    level = gravity_vector(fitted.arm.robot)
+    if gravity is not None and np.any(gravity != level):
         sine = np.linalg.norm(np.cross(level, gravity))
         angle = math.degrees(math.atan2(sine, level @ gravity))
         yield (
             f"gravity in the written model is turned by {angle:.2f} degrees, because the base is "
             f"tilted or encoder zeros are off ({option_setting('keep', 'gravity')} leaves it "
-            "alone). It stands in the file's <option>, which readers of URDF other than MuJoCo "
-            "ignore"
+            "alone)"
         )
 
 

@@ -133,7 +133,7 @@ def changed_model_text(
         put_inertial(node, text)
         written.append(node)
     if change.gravity is not None:
-        _write_gravity(document, change.gravity, change.rmse)
+        _write_gravity(document, change.gravity)
     if document.is_urdf:
         # MuJoCo has to load the text by itself, so links get what compilation gave them.
         give_minimum(document, excluded=written)
@@ -202,7 +202,7 @@ def _add_body(document: ModelDocument, name: str, flange: Flange) -> Node:
 _DEFAULT_GRAVITY = "0 0 -9.81"
 
 
-def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None:
+def _write_gravity(document: ModelDocument, gravity: Array) -> None:
     """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``.
 
     ExportError where the file switches gravity off.
@@ -210,7 +210,6 @@ def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None
     Args:
         document: the model file.
         gravity: (3,) in the world frame [m/s^2].
-        rmse: residual of the identification, for the comment [N m].
     """
     for flag in document.settings("option/flag"):
         if flag.get("gravity") == "disable":
@@ -223,8 +222,8 @@ def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None
     stating = [option for option in options if option.get("gravity")]
     changed = (stating or options)[-1]
     old = changed.get("gravity", _DEFAULT_GRAVITY)
-    addition = f"in place of {old}, because the arm does not stand as the file said"
-    _state_origin(changed, "gravity", rmse, addition)
+    reason = f"in place of {old}, because the arm does not stand as the file said"
+    put_comment(changed, f" {OWN_COMMENT} gravity {reason} ")
     changed.set("gravity", format_numbers(gravity))
 
 

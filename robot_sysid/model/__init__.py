@@ -27,6 +27,13 @@ class ModelOptions(OptionRecord):
         "multiply all masses and moments of inertia of the model by this",
         "FACTOR > 0",
     )
+    gravity: tuple[float, ...] | None = option(
+        None,
+        "direction in which gravity acts, in the model's axes: of an arm that hangs, or is mounted "
+        "on a wall",
+        metavar=("X", "Y", "Z"),
+        default_text="what the model says",
+    )
     keyframe: str | None = option(
         None,
         "keyframe in which the arm is at rest, where motions start",

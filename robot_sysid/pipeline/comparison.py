@@ -52,8 +52,9 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
     if len({run.content["model"]["sha256"] for run in runs}) > 1:
         raise InputError("the runs are of different model files")
     configs = [IdentifyConfig.of(**read_toml(run.folder / RUN_NAME)) for run in runs]
-    if len({config.model.mass_scale for config in configs}) > 1:
-        raise InputError(f"the runs differ in {option_name('mass_scale')}")
+    for key in ("mass_scale", "gravity"):
+        if len({getattr(config.model, key) for config in configs}) > 1:
+            raise InputError(f"the runs differ in {option_name(key)}")
     robot = load_arm(configs[0], Progress())
     if robot.sha256 != runs[0].content["model"]["sha256"]:
         raise InputError(f"{robot.path} has changed since the runs")

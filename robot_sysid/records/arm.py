@@ -239,6 +239,7 @@ class RobotModel:
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".
         mass_scale: by which masses and moments of inertia differ from those of the file.
+        gravity: (3,) in place of that of the file [m/s^2]; None for the file's.
         notes: what the reader of the file had to assume, one sentence each.
     """
 
@@ -255,6 +256,7 @@ class RobotModel:
     sha256: str = ""
     kind: str = "mjcf"
     mass_scale: float = 1.0
+    gravity: Array | None = None
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

@@ -9,6 +9,7 @@ a body: mass, first moments, and the inertia about its frame's origin.
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Iterator
 from dataclasses import replace
@@ -107,10 +108,27 @@ def write_model(
     if robot.kind == "mjcf":
         elements += _tendon_changes(robot, result)
     bodies += new_bodies
-    gravity = file.gravity if file else None
+    gravity = file.gravity if file else robot.gravity
     change = ModelChange(bodies, result.quality.rmse, tuple(elements), gravity)
     _write(robot, change, target, written_thetas)
+    if gravity is not None and file_kind == "urdf":
+        notes += (_base_note(gravity),)
     return notes
+
+
+def _base_note(gravity: Array) -> str:
+    """Return how a URDF's base is turned where gravity (3,) cannot be.
+
+    The third row of the rotation of roll, pitch and no yaw, (-sin p, cos p sin r, cos p cos r), is
+    the direction up in the axes of the base.
+    """
+    x, y, z = gravity.tolist()
+    roll = math.atan2(0.0 - y, 0.0 - z)
+    pitch = math.atan2(x, math.hypot(y, z))
+    return (
+        "MuJoCo alone reads the direction of gravity in a URDF: for other readers add a link, and "
+        f'a fixed joint with <origin rpy="{roll:.4f} {pitch:.4f} 0"/> from it to the first link'
+    )
 
 
 def _arm_of_kind(
@@ -125,7 +143,8 @@ def _arm_of_kind(
         return robot, target
     try:
         path = mjcf_of(robot.path, target.mesh_dir)
-        arm = load_robot_model(path, joint=robot.terminal_joint)
+        joint = robot.terminal_joint
+        arm = load_robot_model(path, joint=joint, gravity=robot.gravity)
         return arm, replace(target, mesh_dir=None)
     except InputError as error:
         raise ExportError(
@@ -149,7 +168,7 @@ def write_joints(
     """
     robot, target = _arm_of_kind(robot, "mjcf", target)
     # No torque was measured, so there is no residual to state.
-    _write(robot, ModelChange((), 0.0, elements), target, robot.thetas)
+    _write(robot, ModelChange((), 0.0, elements, robot.gravity), target, robot.thetas)
 
 
 def _numbers_of(result: Identification, owner: str) -> dict[str, float]:

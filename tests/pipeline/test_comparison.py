@@ -148,5 +148,7 @@ def test_logs_are_judged_against_the_runs_own_arm_with_its_options(
     )
     with pytest.raises(Checked):
         compare_runs(runs_with(tmp_path, robot, options, options), Progress())
-    with pytest.raises(InputError, match="the runs differ in --mass-scale"):
-        compare_runs(runs_with(tmp_path, robot, options, ""), Progress())
+    turned = "gravity = [1.0, 0.0, 0.0]\n" + options
+    for option, other in (("mass-scale", ""), ("gravity", turned)):
+        with pytest.raises(InputError, match=f"the runs differ in --{option}"):
+            compare_runs(runs_with(tmp_path, robot, options, other), Progress())
