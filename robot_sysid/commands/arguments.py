@@ -19,7 +19,7 @@ from robot_sysid.wording import with_option_names
 
 MODEL = (
     options.Option(
-        "path", "MuJoCo XML (MJCF) or URDF file", metavar="MODEL", parse=Path
+        "path", "MuJoCo XML (MJCF), URDF or xacro file", metavar="MODEL", parse=Path
     ),
 )
 """The model file that most commands take first."""

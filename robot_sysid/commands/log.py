@@ -72,7 +72,7 @@ _ARGUMENTS = (
         parse=Path,
         takes_many=True,
     ),
-    Option("path", "MJCF or URDF file", metavar="MODEL", parse=Path),
+    Option("path", "MJCF, URDF or xacro file", metavar="MODEL", parse=Path),
 )
 COMMANDS = (
     Command(

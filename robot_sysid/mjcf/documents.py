@@ -19,11 +19,12 @@ from typing import Any
 from lxml import etree
 
 from robot_sysid.errors import InputError, ModelError, error_text
+from robot_sysid.mjcf.xacro_files import expand_xacro, is_xacro
 from robot_sysid.records.file_access import refuse_special_file, require_utf8
 
 Node = Any
 """An element of lxml's tree; its tag has no namespace unless it has a prefix."""
-SUFFIXES = (".xml", ".mjcf", ".urdf")
+SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 """Ends of the names of model files."""
 # A comment: its begin, its text and its end.
 _COMMENT = re.compile(r"(<!--)(.*?)(-->|\Z)", re.DOTALL)
@@ -128,6 +129,11 @@ def read_document(path: Path, mesh_dir: Path | None = None) -> ModelDocument:
     document = ModelDocument(path.absolute(), mesh_dir and Path(mesh_dir).absolute())
     root = _read(document.path, document)
     document.root = root
+    if root.tag == "sdf":
+        raise ModelError(
+            f"{document.path} is SDF, Gazebo's format, which MuJoCo does not read: pass the URDF "
+            "or xacro that it was made from, or an MJCF, as Gazebo's sdf2mjcf writes"
+        )
     required = {"mujoco": "worldbody", "robot": "link"}.get(root.tag)
     if required and root.find(required) is not None:
         return document
@@ -135,8 +141,6 @@ def read_document(path: Path, mesh_dir: Path | None = None) -> ModelDocument:
     advice = "pass the main model file, the one that includes this one"
     if required:
         fault = f"no <{required}>"
-        if "xacro" in root.nsmap:
-            advice = "run xacro on it first"
     raise ModelError(
         f"{document.path} is a fragment, not a whole model: {fault}; {advice}"
     )
@@ -148,8 +152,11 @@ def _read(path: Path, document: ModelDocument) -> Node:
     ModelError where one cannot be read.
     """
     raw = _read_bytes(path)
-    document.contents[path] = raw
     root = _parse(raw, path)
+    if is_xacro(root):
+        raw = expand_xacro(path, document.mesh_dir)
+        root = _parse(raw, path)
+    document.contents[path] = raw
     # MuJoCo knows no includes in a URDF.
     if root.tag == "robot":
         return root
@@ -203,10 +210,10 @@ def _read_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except IsADirectoryError:
         raise InputError(
-            f"{path} is a folder; pass a model file (MJCF .xml or .urdf)"
+            f"{path} is a folder; pass a model file (MJCF .xml, .urdf or .xacro)"
         ) from None
     except FileNotFoundError:
-        hint = " (Expected an XML model file: .xml, .mjcf or .urdf)"
+        hint = " (Expected an XML model file: .xml, .mjcf, .urdf or .xacro)"
         hint = "" if path.suffix.lower() in SUFFIXES else hint
         raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:

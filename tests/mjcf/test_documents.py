@@ -34,7 +34,11 @@ def names(path):
         (b"<mujoco>" * 300, "not XML: Excessive depth"),
         (b"<default/>", "is a fragment, not a whole model: its root is <default>"),
         (b"<mujoco/>", "is a fragment, not a whole model: no <worldbody>"),
-        (b"<robot xmlns:xacro='http://ros.org/wiki/xacro'/>", "run xacro on it first"),
+        (b"<robot name='r'/>", "no <link>; pass the main model file"),
+        (
+            b"<sdf version='1.9'><model/><model/></sdf>",
+            "is SDF, .* pass the URDF or xacro",
+        ),
     ],
 )
 def test_what_is_no_model_is_refused_in_one_line(tmp_path, content, message):
