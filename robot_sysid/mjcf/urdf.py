@@ -97,13 +97,14 @@ def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:
                     f"{problem}, and the link has no <inertial> of its own; pass "
                     f"{option_name('mesh_dir', 'FOLDER')} or add an <inertial>"
                 )
-            removed.add(str(name))
+            removed.add(str(name).rpartition("/")[2])
     relocate(document, folder=None)
     if removed:
         yield MeshesLeftOut(
-            f"collision meshes that MuJoCo cannot find or read are left out, which changes no "
-            f"dynamics: {', '.join(sorted(removed))}. MuJoCo loads a written URDF once they are "
-            "there, and a written MJCF without them"
+            "collision meshes that are missing, or in a format that MuJoCo does not read, are left "
+            f"out: {', '.join(sorted(removed))}. Masses and inertias do not come from them, but "
+            f"contacts with them are not seen ({option_name('mesh_dir', 'FOLDER')} says where they "
+            "are). MuJoCo loads a written URDF once they are there, and a written MJCF without them"
         )
 
 

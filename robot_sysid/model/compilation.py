@@ -172,6 +172,13 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
         if is_changed:
             # The lines of the text are not those of the file.
             message = message.partition(", line")[0]
+        meshes = [asset.path for asset in find_assets(document) if asset.path]
+        names = [name for mesh in meshes for name in (mesh.name, f"'{mesh.stem}'")]
+        if document.is_urdf and any(name in message for name in names):
+            message += (
+                "; save the mesh as binary STL or OBJ, or remove the file: a link with an "
+                "<inertial> needs none"
+            )
         raise ModelError(f"MuJoCo cannot compile {document.path}: {message}") from None
     restore_exact_inertias(mj_model, inertias)
     return mj_model, notes

@@ -71,6 +71,17 @@ def test_what_mujoco_refuses_is_one_line_with_the_file(tmp_path, text, message):
         compile_model(write_files(tmp_path, {"m.xml": text}))
 
 
+def test_a_mesh_that_is_broken_may_be_removed_if_its_link_has_an_inertial(tmp_path):
+    link = urdf.mesh("collision", "package://arm/meshes/odd.stl") + urdf.inertial()
+    files = {"m.urdf": URDF.replace(urdf.inertial(), link), "odd.stl": "solid odd"}
+    path = write_files(tmp_path, files)
+    with refused(r"m\.urdf: .*odd.*; save the mesh as binary STL or OBJ, or remove"):
+        compile_model(path)
+    (tmp_path / "odd.stl").unlink()
+    (note,) = compile_model(path).notes
+    assert "left out: odd.stl. Masses" in note and "contacts with them are" in note
+
+
 def test_warnings_become_notes_and_leave_no_trace(tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = world(BODY.format(INERTIAL)).replace(
