@@ -52,7 +52,7 @@ def load_robot_model(
         keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
         mass_scale: by which all its masses and moments of inertia are multiplied.
         gravity: (3,) direction in which it acts, of any length, in the model's axes; default as
-            the file says, which also says how large it is.
+            the file says. How large it is, the file says.
 
     Raises:
         ModelError: the file cannot be used; says why.
@@ -129,22 +129,17 @@ def load_robot_model(
 
 
 def _turned_gravity(robot: RobotModel, direction: Sequence[float] | Array) -> Array:
-    """Return gravity (3,) that acts along a direction (3,), as large as in the model [m/s^2].
+    """Return gravity (3,) along a direction (3,), as large as in the model or on Earth [m/s^2].
 
-    InputError where that is no direction, or the model has no gravity.
+    InputError where that is no direction.
     """
     vector = np.array(direction, dtype=float)
     length = np.linalg.norm(vector)
-    size = np.linalg.norm(gravity_vector(robot))
+    size = np.linalg.norm(gravity_vector(robot)) or 9.81
     if vector.shape != (3,) or not 0.0 < length < np.inf:
         raise InputError(
             f"{option_name('gravity', 'X Y Z')} takes a direction, three numbers that are not all "
             "0, such as 1 0 0"
-        )
-    if size == 0.0:
-        raise InputError(
-            f"{robot.path} has no gravity that {option_name('gravity')} could turn; state one in "
-            "the model"
         )
     return size / length * vector
 
@@ -185,6 +180,9 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
     types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     if np.any(np.isin(mj_model.eq_type, types)):
         yield "the model's connect and weld constraints are ignored"
+    if not np.any(gravity_vector(robot)):
+        direction = option_name("gravity", "X Y Z")
+        yield f"the model has no gravity, so its links weigh nothing; {direction} states some"
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
     # Coefficients of qd abs(qd) and of qd^3; MuJoCo before 3.7 has no such damping.

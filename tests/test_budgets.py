@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 3889,
     "robot_sysid/commands": 9824,
     "robot_sysid/damiao": 30130,
-    "robot_sysid/diagnosis": 15902,
+    "robot_sysid/diagnosis": 15936,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29103,
     "robot_sysid/logs": 20154,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 4800,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10841,
-    "tests": 215679,
+    "robot_sysid": 10854,
+    "tests": 215816,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

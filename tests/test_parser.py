@@ -110,10 +110,13 @@ def test_what_is_no_direction_of_gravity_is_refused(arm_file, direction):
         load_robot_model(path, gravity=direction)
 
 
-def test_a_model_without_gravity_has_none_to_turn(arm_file):
+def test_a_model_without_gravity_says_so_and_gets_that_of_earth(arm_file):
     text = arms.THREE.replace("<worldbody>", '<option gravity="0 0 0"/><worldbody>', 1)
-    with refused("has no gravity that --gravity could turn"):
-        load_robot_model(arm_file(text), gravity=(1, 0, 0))
+    path = arm_file(text)
+    assert any("the model has no gravity" in n for n in load_robot_model(path).notes)
+    robot = load_robot_model(path, gravity=(2, 0, 0))
+    assert_array_equal(robot.mj_model.opt.gravity, [9.81, 0.0, 0.0])
+    assert not any("has no gravity" in note for note in robot.notes)
 
 
 def test_a_weightless_link_is_refused():

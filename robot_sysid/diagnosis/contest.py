@@ -106,6 +106,8 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     is_experiment = is_of_single_joints(fitted)
     contest = Contest(Correction((), 0.0, fitted), evidence)
     is_fitting = fits(fitted) and not any(map(is_like_gravity, contest.winners))
+    # Links that may be off hide much of a direction that was stated the wrong way round.
+    is_fitting &= fitted.arm.robot.gravity is None
     if not (is_experiment or is_fitting):
         best = sorted(corrections(fitted, evidence), key=lambda c: -c.gain)
         # Whatever explains torques in another unit, they are not right as they are.

@@ -515,7 +515,11 @@ def of_columns(
             way = "little" if degrees <= 180.0 else "much"
             size = min(degrees, 360.0 - degrees)
             text = f"the position of joint {name} reads {size:.0f} degrees too {way}"
-            yield Finding(Level.REFUSES, "zero", text, "correct the joint's zero")
+            remedy = "correct the joint's zero"
+            if name == robot.joint_names[0] and robot.gravity is not None:
+                # About an upright axis, a base that is turned is the same.
+                remedy += f", or the direction of {option_name('gravity')}"
+            yield Finding(Level.REFUSES, "zero", text, remedy)
 
 
 def mounted(

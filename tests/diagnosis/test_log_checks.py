@@ -167,6 +167,16 @@ def test_an_arm_that_hangs_or_is_mounted_on_a_wall_is_right_with_the_option(
     assert findings_of(with_gravity(robot, stated), mounted.log) == ()
 
 
+@pytest.mark.slow
+def test_gravity_that_was_stated_the_wrong_way_round_is_named(four_joints):
+    """A base turned by 180 degrees about its upright first joint is that joint's zero, too."""
+    wall = with_gravity(four_joints.robot, np.array([9.81, 0.0, 0.0]))
+    log = truth_of(wall, seed=3).log
+    stated = with_gravity(wall, np.array([-9.81, 0.0, 0.0]))
+    (finding,) = findings_of(stated, log)
+    assert finding.level is Level.REFUSES and "--gravity" in finding.remedy
+
+
 def test_turned_torques_of_all_joints_are_named_and_the_search_is_shown(four_joints):
     turned = replace(four_joints.log, tau=-four_joints.log.tau)
     shown = []
