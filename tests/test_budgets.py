@@ -23,7 +23,7 @@ BUDGETS = {
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29103,
     "robot_sysid/logs": 20154,
-    "robot_sysid/mjcf": 7047,
+    "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8557,
     "robot_sysid/motion": 14850,
     "robot_sysid/pipeline": 7017,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10854,
-    "tests": 215816,
+    "tests": 215981,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

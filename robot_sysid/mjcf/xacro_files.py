@@ -1,7 +1,7 @@
 """Xacro files, in which URDFs are written with macros, expanded to URDF by the package xacro.
 
-Packages that ``$(find NAME)`` names are looked up as those of meshes are: in the user's folder, in
-the file's and in every folder above it; else as ROS does.
+Packages that ``$(find NAME)`` names are looked up as those of meshes are, in the user's folder, the
+file's and every folder above it, by the folder's name or that of its package.xml; else as ROS does.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ def expand_xacro(path: Path, mesh_dir: Path | None) -> bytes:
     def find(name: str) -> str:
         """Return the folder of a package."""
         for folder in filter(None, (mesh_dir, *path.parents)):
-            if folder.name == name:
+            # A clone may be called otherwise than the package.
+            manifest = folder / "package.xml"
+            text = manifest.read_text("utf-8", "replace") if manifest.is_file() else ""
+            if folder.name == name or f"<name>{name}</name>" in text:
                 return str(folder)
             if (folder / name).is_dir():
                 return str(folder / name)

@@ -39,13 +39,16 @@ def xacro_of(include="macro.xacro", argument='<xacro:arg name="far" default="0.2
 
 
 def written(folder, text, macro="arm_description/urdf/macro.xacro"):
-    write_files(folder, {macro: MACRO, FILE: text})
+    manifest = "<package><name>its_name</name></package>"
+    files = {macro: MACRO, FILE: text, "arm_description/package.xml": manifest}
+    write_files(folder, files)
     return folder / FILE
 
 
 INCLUDES = [
     ("macro.xacro", "arm_description/urdf/macro.xacro"),
     ("$(find arm_description)/urdf/macro.xacro", "arm_description/urdf/macro.xacro"),
+    ("$(find its_name)/urdf/macro.xacro", "arm_description/urdf/macro.xacro"),
     ("$(find other)/macro.xacro", "other/macro.xacro"),
 ]
 

@@ -390,6 +390,20 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
         assert not folder.exists()
 
 
+@pytest.mark.parametrize("moment", ["1e-6", "0", "1e-1"])
+def test_a_frame_without_mass_is_no_obstacle(tmp_path, moment):
+    """As exporters write for a tool's point; one as large as the link leaves nothing beside it."""
+    tcp = urdf.inertial(0.0, f"{moment} {moment} {moment}")
+    text = urdf.robot(
+        urdf.serial({"l1": HEAVY, "l2": LIGHT, "tcp": tcp}, fixed=("tcp",))
+    )
+    robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}))
+    thetas = new_links(robot, np.random.default_rng(0))
+    thetas[-1] = body_theta(robot.mj_model, robot.body_id)
+    path = write_and_compile(robot, result_of(robot, thetas=thetas)).path
+    assert_same_theta(load_robot_model(path).prior.theta, thetas[-1], 1e-9)
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_a_factor_on_all_masses_is_in_all_bodies_of_the_file(tmp_path, factor):
     text = arms.serial_arm(("0 0 1", "0 1 0"), tip=arms.fingers())
