@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3889,
     "robot_sysid/commands": 9824,
-    "robot_sysid/damiao": 30130,
+    "robot_sysid/damiao": 30357,
     "robot_sysid/diagnosis": 15936,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29103,

@@ -20,6 +20,7 @@ from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.protocol import BusTiming, CanFrame, Scaling, is_harmful
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
 from robot_sysid.damiao.references import (
+    Activity,
     HoldingCheck,
     file_holding,
     trajectory_reference,
@@ -260,6 +261,7 @@ def run(
     stop: StopRequest,
     on_phase: Callable[[str], None],
     holding: HoldingCheck,
+    activity: Activity | None = None,
 ) -> PlayReport:
     """Play a plan on the motors of an inspection, record it, and return the report of the run.
 
@@ -272,6 +274,7 @@ def run(
         stop: request for a stop, see ``Player``.
         on_phase: called with the name of each phase of the run.
         holding: check of the torques that hold the arm.
+        activity: what the arm does; None plays the trajectory.
 
     Raises:
         HardwareAbort: a check forbids the run, or the run was stopped; the message has the reason.
@@ -284,6 +287,10 @@ def run(
     motors = [inspection.motors[joint.can_id] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)
     session = MotorSession(link, joints, scaling, plan.command_limits)
+    if activity is None:
+        reference = trajectory_reference(plan.trajectory, plan.settings.speed)
+        first = reference(0.0)
+        activity = Activity("playing", lambda _: reference, plan.duration, first)
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     path = plan.recording.record
@@ -301,8 +308,7 @@ def run(
                 lambda text: console(partial(on_phase, text)),
                 holding,
             )
-            reference = trajectory_reference(plan.trajectory, plan.settings.speed)
-            report = player.play(reference, plan.duration)
+            report = player.play(activity)
     finally:
         console.finish()
     for failure in filter(None, (writer.failure, console.failure)):

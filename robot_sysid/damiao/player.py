@@ -21,11 +21,13 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
-from robot_sysid.damiao.protocol import MitCommand
+from robot_sysid.damiao.protocol import KD_STEP, MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
     LONGEST_LOWERING,
+    Activity,
     CarriedStop,
+    Follower,
     HoldingCheck,
     Lowering,
     Reference,
@@ -154,7 +156,7 @@ class Player:
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
         # A reference that depends on the arm's state, which it gets in every cycle.
-        self._follower: Lowering | CarriedStop | None = None
+        self._follower: Follower | None = None
         # Time in the clock at which the last phase before a stop began [s].
         self._origin: float
         # Time of the last answer in the clock [s].
@@ -163,15 +165,15 @@ class Player:
         # Positions and commanded torques (2, n) of the cycles in which the joints stand still.
         self._standing_states: list[Array] = []
 
-    def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
-        """Enable the motors, play a trajectory of ``duration`` [s], rest, lower, return a report.
+    def play(self, activity: Activity) -> PlayReport:
+        """Enable the motors, do what the activity says, rest, lower, and return a report.
 
         The session disables the motors afterwards. After any error, motors that still answer are
         brought to rest; then HardwareAbort states the cause.
         """
         with undisturbed_processor(self._clock.live):
             try:
-                self._run_phases(trajectory, duration)
+                self._run_phases(activity)
             except BaseException as error:
                 self._stop_gently()
                 if isinstance(error, HardwareAbort):
@@ -188,37 +190,39 @@ class Player:
             self._observer.worst_tracking,
         )
 
-    def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
+    def _run_phases(self, activity: Activity) -> None:
         """Go through the phases of a run: enable, raise gains, approach, play, rest, lower.
 
-        ``trajectory`` takes ``duration`` [s]. Any fault, or a request to stop, raises.
+        Any fault, or a request to stop, raises.
         """
         settings = self._settings
-        first = trajectory(0.0)
         self._stop_if_asked()
         self._announce("enabling the motors")
         start = self._session.enable()
         standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
-        approach, approach_time = transfer_reference(
-            standing,
-            first,
-            settings.approach_speed,
-            settings.approach_time,
-            self._holding.torque,
-        )
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._rising = True
         self._phase(hold_reference(standing), settings.ramp_time, standing=True)
         self._rising = False
         self._hold_and_compare(standing)
-        self._announce(f"moving to the first point ({approach_time:.1f} s)")
-        self._phase(approach, approach_time)
-        self._hold_and_compare(first)
-        self._announce(f"playing ({duration:.1f} s)")
-        self._phase(trajectory, duration, record=True)
+        first = activity.first
+        if first is not None:
+            approach, approach_time = transfer_reference(
+                standing,
+                first,
+                settings.approach_speed,
+                settings.approach_time,
+                self._holding.torque,
+            )
+            self._announce(f"moving to the first point ({approach_time:.1f} s)")
+            self._phase(approach, approach_time)
+            self._hold_and_compare(first)
+        self._announce(f"{activity.name} ({activity.duration:.1f} s)")
+        reference = activity.begin(standing)
+        self._phase(reference, activity.duration, record=True)
         self._announce("coming to rest")
-        last = trajectory(duration)
+        last = reference(activity.duration)
         self._phase(hold_reference(last), settings.rest_time)
         if settings.park is not None:
             self._announce("lowering the arm")
@@ -240,17 +244,12 @@ class Player:
     def _lower_from(self, begin: Reference) -> Lowering:
         """Return the reference that lowers the arm from ``begin``.
 
-        It becomes the follower, to which ``_exchange`` passes the torques of every cycle. Without a
-        model nobody knows where the arm comes to lie, so the range of commands is opened.
+        Without a model nobody knows where the arm comes to lie, so the range of commands is opened.
         """
         if not self._holding.is_model:
             self._session.open_range()
-        session = self._session
-        lowering = Lowering(
-            begin, self._settings.approach_speed, session.limits.torque, session.limits
-        )
-        self._follower = lowering
-        return lowering
+        limits = self._session.limits
+        return Lowering(begin, self._settings.approach_speed, limits.torque, limits)
 
     def _phase(
         self,
@@ -263,13 +262,14 @@ class Player:
 
         Args:
             reference: reference by the time since the phase began [s].
-            length: duration [s]; lowering may end earlier.
+            length: duration [s]; a follower may end it earlier, and gets the state of every cycle.
             standing: whether the joints should stand still.
             record: whether cycles are recorded.
         """
         origin = self._timer.next_deadline
         self._origin = origin
         self._standing = standing
+        self._follower = reference if isinstance(reference, Follower) else None
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
         while self._timer.next_deadline < end:
@@ -316,6 +316,10 @@ class Player:
         position, velocity, torque = reference
         kp = self._gain * np.array(self._settings.kp)
         kd = np.array(self._settings.kd)
+        if self._follower is not None:
+            kp = self._follower.stiffness * kp
+            # Motors with stiffness alone oscillate.
+            kd = np.maximum(self._follower.damping * kd, KD_STEP * (kp > 0.0))
         command = MitCommand(position, velocity, kp, kd, self._gain * torque)
         # A motor makes no torque before its first command.
         zero = 0.0 * torque
@@ -370,9 +374,9 @@ class Player:
     def _carry_from(self, reference: Reference) -> CarriedStop:
         """Return the reference that stops the arm, from the last reference and the believed state.
 
-        It becomes the follower, to which ``_exchange`` passes the state of every cycle. A joint
-        that left its path in the direction of its feed-forward torque gets no such torque any more,
-        because it is wrong; a joint that sank against the torque would sink farther without it.
+        A joint that left its path in the direction of its feed-forward torque gets no such torque
+        any more, because it is wrong; a joint that sank against the torque would sink farther
+        without it.
         """
         observer = self._observer
         settings = self._settings
@@ -392,23 +396,30 @@ class Player:
                 lacks_mean, reference.torque, observer.fed_torque
             )
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
-        self._follower = CarriedStop(
+        stiffness = self._follower.stiffness if self._follower else 1.0
+        # The position of a joint that jumped without stiffness may not be the one that its motor
+        # controls: stiffness could push it on.
+        is_loose = observer.stuck & (stiffness == 0.0)
+        position = np.where(is_loose, q, self._session.sent_position)
+        carried = CarriedStop(
             settings,
-            reference._replace(position=self._session.sent_position),
+            reference._replace(position=position),
             q,
             qd,
             fed=np.nan_to_num(fed),
             stuck=observer.stuck,
             limits=self._session.limits,
         )
-        return self._follower
+        carried.stiffness = np.where(is_loose, 0.0, 1.0)
+        return carried
 
-    def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:
+    def _stop_phase(self, reference: Follower, duration: float) -> None:
         """Follow a reference in a stop, at most for ``duration`` [s]; errors are suppressed.
 
         The phase ends early when the arm has come to rest, when commands have no effect any more,
         or when the user insists.
         """
+        self._follower = reference
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
@@ -417,8 +428,7 @@ class Player:
             silent = self._clock.now() - self._heard_at > 0.15
             # Where all motors have failed or are silent, commands have no effect any more.
             hopeless = silent or np.all(self._observer.failed)
-            is_done = self._follower is not None and self._follower.is_done
-            if hopeless or self._stop.insisted or is_done:
+            if hopeless or self._stop.insisted or reference.is_done:
                 return
             # A bus that fails now may work again in the next cycle.
             with contextlib.suppress(BaseException):

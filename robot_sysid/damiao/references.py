@@ -108,11 +108,56 @@ def hold_reference(reference: Reference) -> ReferenceFunction:
     return lambda time: at_rest
 
 
+@dataclass(frozen=True)
+class Activity:
+    """What a run does with an arm that it holds.
+
+    Attributes:
+        name: what is announced, such as "playing".
+        begin: returns the reference from the one in which the arm stands.
+        duration: of it [s].
+        first: reference to which the arm is moved before; None where it stays.
+    """
+
+    name: str
+    begin: Callable[[Reference], ReferenceFunction]
+    duration: float
+    first: Reference | None = None
+
+
+class Follower:
+    """Base of references that depend on the arm's state, which they get in every cycle.
+
+    Attributes:
+        stiffness: share of the motors' stiffness, of all joints or of each (n,).
+        damping: share of the motors' damping.
+    """
+
+    stiffness: Array | float = 1.0
+    damping = 1.0
+
+    def follow(self, q: Array, qd: Array, torque: Array) -> None:
+        """Take believed positions and velocities, and torques commanded last, (n,) each.
+
+        They are NaN where they are unknown [rad, rad/s, N m].
+        """
+        raise NotImplementedError
+
+    def __call__(self, time: float) -> Reference:
+        """Return the reference at ``time`` [s] of its phase; times never go back."""
+        raise NotImplementedError
+
+    @property
+    def is_done(self) -> bool:
+        """Whether its phase may end before its time."""
+        return False
+
+
 LONGEST_LOWERING = 20.0
 """Time after which lowering ends in any case [s]."""
 
 
-class Lowering:
+class Lowering(Follower):
     """A reference that lowers an arm by moving its joints in the direction of their load.
 
     The feed-forward torque is first reduced to zero within a second, so that the position control
@@ -141,7 +186,7 @@ class Lowering:
         self._moved_at = 0.0
 
     def follow(self, q: Array, qd: Array, torque: Array) -> None:
-        """Take the torque (n,) commanded last [N m], NaN where unknown; q and qd are not used."""
+        """Take the torque (n,) commanded last [N m]; q and qd are not used."""
         self._torque = np.nan_to_num(torque)
 
     def __call__(self, time: float) -> Reference:
@@ -282,7 +327,7 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
     )
 
 
-class CarriedStop:
+class CarriedStop(Follower):
     """A reference that brakes all joints together and then carries them.
 
     - Each joint brakes from the velocity of its reference, or from its own velocity if that is
@@ -351,10 +396,7 @@ class CarriedStop:
         self._time = 0.0
 
     def follow(self, q: Array, qd: Array, torque: Array) -> None:
-        """Take the believed positions and velocities (n,) [rad, rad/s], NaN where unknown.
-
-        The ``torque`` is not used.
-        """
+        """Take the believed positions and velocities (n,); the ``torque`` is not used."""
         self._q = q
         self._qd = qd
 
