@@ -49,7 +49,7 @@ TABLES: Mapping[str, Sequence[Option]] = {
         for command in motors.COMMANDS
         for title, options in command.groups.items()
         # Arguments, and what other tables list.
-        if title not in ("", "arm", "limits")
+        if title not in ("", "arm", "limits", "how it is held")
     },
 }
 """Name of a table to the options that it lists; of a group of motors' options its heading."""

@@ -36,7 +36,7 @@ _USES = {
     "plan MODEL": "plan a motion to record, where the log shows too little",
     "payload MODEL --empty LOG --loaded LOG": "weigh what is bolted on, by difference",
     "motors simulate|check|play FILE": "rehearse and play a planned motion on Damiao motors",
-    "motors setup|map|monitor": "set Damiao motors up, and watch them",
+    "motors setup|map|monitor|hold": "set Damiao motors up, watch them, hold or float an arm",
     "MODEL": "test the identification on the model's own simulation",
     "example kinova": "copy an example with two logs, to try all this",
 }

@@ -14,8 +14,21 @@ import numpy as np
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.adapters import BusAddress, open_bus
-from robot_sysid.damiao.bus import GuardedLink, Inspection, SimulatedClock, SystemClock
-from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
+from robot_sysid.damiao.bus import (
+    GuardedLink,
+    InspectedMotor,
+    Inspection,
+    SimulatedClock,
+    SystemClock,
+)
+from robot_sysid.damiao.joints import (
+    MASTER_ID_OFFSET,
+    DamiaoJoint,
+    damiao_joints,
+    map_joints,
+    matching_types,
+    read_joint_map,
+)
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.protocol import BusTiming, CanFrame, Scaling, is_harmful
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
@@ -27,10 +40,12 @@ from robot_sysid.damiao.references import (
 )
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
+    HoldOptions,
     Permissions,
     Plan,
     PlaySettings,
     RecordingOptions,
+    joint_positions,
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.errors import InputError, SysidError, error_text
@@ -41,10 +56,13 @@ from robot_sysid.records.option_fields import (
     Option,
     OptionRecord,
     given_values,
+    joint_values,
     option,
+    options_of,
     options_of_all,
     record_from,
 )
+from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.wording import option_name, option_setting
 
 
@@ -122,18 +140,66 @@ class MotorRun:
                 f"{trajectory.path} has {trajectory.n_joints} joints but the chain of "
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
-        trajectory = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
+        joints = self._with_joint_map(trajectory.joints)
+        return self._plan_of(replace(trajectory, joints=joints), self.values)
+
+    def standing_plan(self, inspection: Inspection | None = None) -> Plan:
+        """Return the plan that holds the model's arm where an inspection finds it.
+
+        Without an inspection it is that of a simulated arm, in the pose of the options. Positions
+        that are not known are those of the options, too; then a check says what is missing.
+
+        InputError where a motor's type is unknown, the files do not fit the model, or a recording
+        would replace a file.
+        """
+        robot = self.robot
+        options = record_from(HoldOptions, self.values)
+        # A joint has the number of its motor where no joint map says another.
+        numbers = range(1, robot.n_joints + 1)
+        joints = self._with_joint_map(
+            [DamiaoJoint("", i, i + MASTER_ID_OFFSET) for i in numbers]
+        )
+        motors = inspection.motors if inspection else {}
+        types = options.motor_type or [_stored_type(j, motors) for j in joints]
+        if len(types) == 1:
+            types *= robot.n_joints
+        checked = damiao_joints(types, robot.n_joints)
+        joints = tuple(
+            replace(joint, motor_type=typed.motor_type)
+            for joint, typed in zip(joints, checked)
+        )
+        pose = robot.reference_qpos[robot.qpos_index]
+        if options.pose:
+            name = options_of(options)["pose"].name
+            pose = joint_values(options.pose, robot.n_joints, name)
+        if inspection:
+            found = joint_positions(joints, inspection)
+            pose = np.where(np.isfinite(found), found, pose)
+        torque = self._gravity(joints).torque(pose)
+        time = np.array([0.0, options.lifetime])
+        still = np.zeros((2, len(pose)))
+        trajectory = motion.DamiaoTrajectory(
+            Path("hold"), joints, time, still + pose, still, still + torque
+        )
+        # The arm stays where it was inspected.
+        return self._plan_of(trajectory, {**self.values, "start_tolerance": 0.05})
+
+    def _plan_of(
+        self, trajectory: motion.DamiaoTrajectory, values: Mapping[str, Any]
+    ) -> Plan:
+        """Return the plan of a trajectory whose joints are mapped, with the settings in values."""
+        robot = self.robot
         mobility = None
         if robot is not None:
             from robot_sysid.simulation.plant import ArmStepper
 
             mobility = ArmStepper(robot, trajectory.q[0]).mobility()
-        recording = record_from(RecordingOptions, self.values)
+        recording = record_from(RecordingOptions, values)
         inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
         recording.require_free(*inputs)
         return Plan(
             trajectory,
-            settings=record_from(PlaySettings, self.values),
+            settings=record_from(PlaySettings, values),
             timing=self.timing,
             permissions=record_from(Permissions, self.values),
             recording=recording,
@@ -186,7 +252,7 @@ class MotorRun:
         ``real`` tells whether the motors are real ones, whose directions are checked too.
         """
         checks = [*preflight.bus_checks(plan, inspection)]
-        q = plan.joint_positions(inspection)
+        q = joint_positions(plan.trajectory.joints, inspection)
         if self.robot is not None and np.all(np.isfinite(q)):
             from robot_sysid.damiao.model_check import transfer_checks
 
@@ -199,9 +265,13 @@ class MotorRun:
         """Return the check of holding torques against those of the model, or else of the file."""
         if self.robot is None:
             return file_holding(plan.trajectory)
+        return self._gravity(plan.trajectory.joints)
+
+    def _gravity(self, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
+        """Return the check of the torques that hold joints against those of the model."""
         from robot_sysid.damiao.model_check import gravity_check
 
-        return gravity_check(self.robot, plan.trajectory.joints)
+        return gravity_check(self.robot, joints)
 
     @cached_property
     def robot(self) -> Any:
@@ -216,20 +286,24 @@ class MotorRun:
 
     @contextlib.contextmanager
     def open_simulated(self, plan: Plan) -> Iterator[GuardedLink]:
-        """Yield a link to a simulated arm of the model that stands at the plan's first point.
+        """Yield a link to a simulated arm that stands at the plan's first point.
 
-        Its clock only advances when waited for. InputError without a model.
+        It is the model's arm, or that of --plant-model. Its clock only advances when waited for.
+        InputError without a model, or where the two do not have the same joints.
         """
         if self.robot is None:
             raise InputError(
                 f"a simulated arm needs a model; add {option_name('model')}"
             )
-        from robot_sysid.simulation.plant import ArmStepper
+        from robot_sysid.simulation.plant import ArmStepper, load_plant
+
+        plant = record_from(SimulatedArmOptions, self.values).plant_model
+        robot = self.robot if plant is None else load_plant(self.robot, plant)
 
         # As docs/damiao.md recommends for real motors, and long enough for slow cycles, too.
         watchdog = max(0.1, 12.0 * plan.settings.period)
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
-        stepper = ArmStepper(self.robot, plan.trajectory.q[0])
+        stepper = ArmStepper(robot, plan.trajectory.q[0])
         clock = SimulatedClock()
         arm = SimulatedArm(stepper, motors)
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
@@ -252,6 +326,21 @@ class MotorRun:
         link = open_bus(self.address, self.timing, self.clock)
         with contextlib.closing(link):
             yield GuardedLink(link, self.clock, self.timing.fd, refuses)
+
+
+def _stored_type(joint: DamiaoJoint, motors: Mapping[int, InspectedMotor]) -> str:
+    """Return the type of a joint's motor, by the scaling limits in its registers.
+
+    ``motors`` have their CAN ids as keys. InputError unless they are those of exactly one type.
+    """
+    motor = motors.get(joint.can_id)
+    types = matching_types(motor.limits) if motor else ()
+    if len(types) != 1:
+        raise InputError(
+            f"{joint.label}: no motor answers whose registers tell its type; check power and ids, "
+            f"or give {option_name('motor_type')}, one for all joints or one per joint, base first"
+        )
+    return types[0]
 
 
 def run(

@@ -14,7 +14,7 @@ from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits_agree
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
-from robot_sysid.damiao.settings import Plan, PlaySettings
+from robot_sysid.damiao.settings import Plan, PlaySettings, joint_positions
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records.messages import Level, Remark
 from robot_sysid.wording import option_name
@@ -281,7 +281,7 @@ def _readiness_checks(
         )
 
     tolerance = settings.start_tolerance
-    positions = plan.joint_positions(inspection)
+    positions = joint_positions(joints, inspection)
     for joint, position, first in zip(joints, positions, trajectory.q[0]):
         # Written so that a NaN stops.
         if not abs(position - first) <= tolerance:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus import Inspection
-from robot_sysid.damiao.joints import MotorSpec, Mounting
+from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting
 from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
 from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
@@ -81,13 +81,15 @@ class PlaySettings(OptionRecord):
         1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor
     )
     approach_speed: float = option(
-        0.2, "joint speed on the way to the first point", _SPEED
+        0.2,
+        "joint speed on the way to the first point; a joint that floats faster is caught",
+        _SPEED,
     )
     start_tolerance: float = option(
         0.5, "how far a joint may be from the first point", _ANGLE
     )
     max_tracking_error: float = option(
-        0.2, "how far a joint may leave its path", _ANGLE
+        0.2, "how far a joint may leave its path, or float", _ANGLE
     )
     max_speed_error: float = option(
         1.0, "how much a joint may be faster or slower than commanded", _SPEED
@@ -167,6 +169,48 @@ class PlaySettings(OptionRecord):
         """Length of a control cycle [s]; ``rate`` must not be None."""
         assert self.rate is not None
         return 1.0 / self.rate
+
+
+HOLD_SETTINGS = (
+    "kp",
+    "kd",
+    "rate",
+    "approach_speed",
+    "max_tracking_error",
+    "max_torque_error",
+    "max_temperature",
+    "park",
+)
+"""Keys of the options of ``PlaySettings`` that are about an arm which stays where it is."""
+
+
+@dataclass(frozen=True)
+class HoldOptions(OptionRecord):
+    """What ``motors hold`` does, and the arm that it simulates."""
+
+    floats: bool = option(
+        False,
+        "take the stiffness away, and measure how fast the joints drift",
+        flag="--float",
+    )
+    lifetime: float = option(
+        5.0, "how long it is held, or floats", "S [s] > 0", flag="--for"
+    )
+    motor_type: tuple[str, ...] = option(
+        (),
+        "Damiao motor, one for all or one per joint, base first",
+        "TYPE",
+        default_text="by the motors' registers",
+        repeats=True,
+    )
+    simulate: bool = option(False, "hold a simulated arm, without a bus")
+    pose: tuple[float, ...] = option(
+        (),
+        "where the simulated arm stands, one angle per joint",
+        "Q [rad]",
+        takes_many=True,
+        default_text="the model's own pose",
+    )
 
 
 @dataclass(frozen=True)
@@ -281,14 +325,14 @@ class Plan:
         # The trajectory's rows are rounded.
         return Limits(ranges.lower, ranges.upper, 1.1 * speed)
 
-    def joint_positions(self, inspection: Inspection) -> Array:
-        """Return the positions (n,) [rad] of the trajectory's joints when the bus was inspected.
 
-        ``inspection`` has each motor's answer by its CAN id; a joint without one has NaN.
-        """
-        joints = self.trajectory.joints
-        positions = np.full(len(joints), np.nan)
-        for j, joint in enumerate(joints):
-            if joint.can_id in inspection.motors:
-                positions[j] = inspection.motors[joint.can_id].position
-        return Mounting.of(joints).inverse.signals(positions, positions, positions)[0]
+def joint_positions(joints: Sequence[DamiaoJoint], inspection: Inspection) -> Array:
+    """Return the positions (n,) [rad] of joints when the bus was inspected.
+
+    ``inspection`` has each motor's answer by its CAN id; a joint without one has NaN.
+    """
+    positions = np.full(len(joints), np.nan)
+    for j, joint in enumerate(joints):
+        if joint.can_id in inspection.motors:
+            positions[j] = inspection.motors[joint.can_id].position
+    return Mounting.of(joints).inverse.signals(positions, positions, positions)[0]

@@ -180,7 +180,7 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
 
 
 BAD_USAGE = {
-    "fly": "unknown command 'fly'; valid: simulate, check, play, setup",
+    "fly": "unknown command 'fly'; valid: simulate, check, play, hold, setup",
     "check": "the following arguments are required: TRAJECTORY",
     "play T": "this command needs --channel",
     "play --channel can0": "the following arguments are required: TRAJECTORY",

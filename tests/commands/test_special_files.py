@@ -36,6 +36,7 @@ BASES = {
     "motors check": "motion.csv --channel can0 --model two.xml",
     "motors play": "motion.csv --channel can0 --model two.xml --yes",
     "motors simulate": "motion.csv --model two.xml",
+    "motors hold": "--simulate --model two.xml --motor-type DM8009 --for 1",
     "motors setup": "--channel can0",
     "motors monitor": "--channel can0",
     "motors map": "--channel can0 --model two.xml",

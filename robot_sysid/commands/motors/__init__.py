@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
+from robot_sysid.commands.motors.holding import hold
 from robot_sysid.commands.motors.mapping import MapOptions, map_joints
 from robot_sysid.commands.motors.session import (
+    PlayChoices,
     Session,
     check_lines,
-    confirm,
     motor_table,
     play_step,
-    run_lines,
+    run_checked,
     step_after_play,
 )
 from robot_sysid.commands.motors.setup import (
@@ -28,26 +28,19 @@ from robot_sysid.commands.motors.setup import (
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import inspect_bus
-from robot_sysid.damiao.execution import LIMIT_OPTIONS, ArmFiles, run
-from robot_sysid.damiao.player import StopRequest
+from robot_sysid.damiao.execution import LIMIT_OPTIONS, ArmFiles
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
+from robot_sysid.damiao.settings import (
+    HOLD_SETTINGS,
+    HoldOptions,
+    Permissions,
+    PlaySettings,
+    RecordingOptions,
+)
 from robot_sysid.errors import EXIT_CODES, InputError, SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import (
-    Option,
-    OptionRecord,
-    option,
-    options_of_all,
-    record_from,
-)
-
-
-@dataclass(frozen=True)
-class PlayChoices(OptionRecord):
-    """Whether ``motors play`` asks a person."""
-
-    yes: bool = option(False, "do not ask for confirmation", short="-y")
+from robot_sysid.records.option_fields import Option, keys_of, options_of_all
+from robot_sysid.simulation import SimulatedArmOptions
 
 
 def check(session: Session) -> int:
@@ -74,40 +67,16 @@ def check(session: Session) -> int:
 
 
 def play(session: Session, is_real: bool = True) -> int:
-    """Check a plan on inspected motors, ask the user, play it, and print how it ended.
+    """Play a trajectory and print how it ended; return the exit code 0.
 
-    Returns the exit code 0. When the user has confirmed, the motors are inspected and checked once
-    more.
-
-    Args:
-        session: run of the command.
-        is_real: whether to play on real motors, not on a simulated arm in simulated time.
-
-    Raises:
-        HardwareAbort: a check forbids the run, or the run was stopped.
-        InputError: the user does not confirm, there is no --channel for real motors, or a recording
-            would replace a file.
+    ``is_real`` tells whether to play on real motors, not on a simulated arm in simulated time.
+    Errors are those of ``run_checked``; InputError without --channel for real motors.
     """
-    console = session.console
     plan = session.plan()
     checks = session.checks(plan)
     opened = session.open_guarded() if is_real else session.open_simulated(plan)
     with opened as link:
-        inspection = inspect_bus(link)
-        checks += session.inspection_checks(plan, inspection, real=is_real)
-        table = motor_table(inspection.motors.values(), plan.trajectory.joints)
-        console.stage(*table, *check_lines(checks))
-        preflight.require_playable(checks)
-        if is_real and not record_from(PlayChoices, session.values).yes:
-            if not confirm():
-                raise InputError("not confirmed; nothing was moved")
-            # The arm may have moved or been touched in the meantime.
-            inspection = inspect_bus(link)
-            checks = session.inspection_checks(plan, inspection)
-            preflight.require_playable(checks)
-        holding = session.holding(plan)
-        report = run(link, plan, inspection, StopRequest(), console.stage, holding)
-        console.stage(*run_lines(report))
+        run_checked(session, link, plan, checks, inspect_bus(link), is_real)
     verdict = "Done: played, and all motors are disabled"
     if plan.recording.record is not None:
         verdict = (
@@ -171,6 +140,9 @@ _CHECKED = {
 _RECORDED = {**_CHECKED, "recording": options_of_all(RecordingOptions)}
 # By default only the model limits the motion.
 _LIMITS = {"limits": LIMIT_OPTIONS}
+_ASKING = {"asking": options_of_all(PlayChoices)}
+# Model of a simulated arm that is not as its user's model says.
+_PLANT = {"simulated arm": options_of_all(SimulatedArmOptions, only=("plant_model",))}
 
 
 def _command(
@@ -196,6 +168,7 @@ def _command(
 
 # Keys of the main options of commands that move an arm.
 _MAIN = "model interface channel fd speed rate kp park record yes joint_map accept_register_limits"
+_HOLD_MAIN = "model joint_map channel interface park record yes plant_model"
 _PLAYED = (
     _command(
         "simulate",
@@ -203,8 +176,8 @@ _PLAYED = (
         "damiao_trajectory.csv --model arm.xml --record measured.csv",
         "Play a trajectory on the arm of a model with simulated Damiao motors, in simulated time "
         "and without a bus, with all checks of play.",
-        {**_RECORDED, **_LIMITS},
-        main=_MAIN.split(),
+        {**_RECORDED, **_LIMITS, **_PLANT},
+        main=[*_MAIN.split(), "plant_model"],
         required=("model",),
     ),
     _command(
@@ -224,8 +197,31 @@ _PLAYED = (
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
-        {**_RECORDED, "asking": options_of_all(PlayChoices), **_LIMITS},
+        {**_RECORDED, **_ASKING, **_LIMITS},
         main=_MAIN.split(),
+    ),
+    _command(
+        "hold",
+        hold,
+        "--model arm.xml --channel can0 --float",
+        "Hold an arm where it is, with the torque of its model's gravity; with --float take the "
+        "stiffness away, and measure how fast the joints drift, hands off. An arm that falls is "
+        "caught. A disabled arm sinks: support it.",
+        {
+            "arm": [
+                *options_of_all(ModelOptions),
+                *options_of_all(ArmFiles, only=("model", "joint_map")),
+            ],
+            "holding": options_of_all(HoldOptions),
+            **_PLANT,
+            **_BUS,
+            **_ASKING,
+            "how it is held": options_of_all(PlaySettings, only=HOLD_SETTINGS),
+            "what to allow": options_of_all(Permissions),
+            "recording": options_of_all(RecordingOptions),
+        },
+        main=[*_HOLD_MAIN.split(), *keys_of(HoldOptions)],
+        required=("model",),
     ),
     _command(
         "setup",

@@ -5,22 +5,30 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.bus import InspectedMotor
-from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun
+from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, inspect_bus
+from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
-from robot_sysid.damiao.player import PlayReport
+from robot_sysid.damiao.player import PlayReport, StopRequest
+from robot_sysid.damiao.preflight import require_playable
+from robot_sysid.damiao.references import Activity
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import InputError
 from robot_sysid.pipeline.next_steps import step_with_motion
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
-from robot_sysid.records.option_fields import command_arguments
+from robot_sysid.records.option_fields import (
+    OptionRecord,
+    command_arguments,
+    option,
+    record_from,
+)
 
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
@@ -49,6 +57,13 @@ def confirm() -> bool:
             "nobody can confirm: standard input is no terminal; give --yes"
         )
     return ask(_WARNING).strip().lower() == "yes"
+
+
+@dataclass(frozen=True)
+class PlayChoices(OptionRecord):
+    """Whether a command that moves an arm asks a person."""
+
+    yes: bool = option(False, "do not ask for confirmation", short="-y")
 
 
 class Session(MotorRun):
@@ -159,6 +174,49 @@ def run_lines(report: PlayReport) -> Iterator[str]:
     yield f"largest distance from the path per joint [rad]: {tracking}"
     if np.any(report.missed):
         yield f"unanswered commands per joint: {', '.join(map(str, report.missed))}"
+
+
+def run_checked(
+    session: Session,
+    link: GuardedLink,
+    plan: Plan,
+    checks: list[Remark],
+    inspection: Inspection,
+    is_real: bool,
+    activity: Activity | None = None,
+) -> None:
+    """Check a plan on inspected motors, ask the user, run it, and print how it went.
+
+    When the user has confirmed, the motors are inspected and checked once more.
+
+    Args:
+        session: run of the command.
+        link: link of the motors' bus.
+        plan: the plan.
+        checks: those of the plan that need no bus.
+        inspection: answers of the motors.
+        is_real: whether the motors are real ones.
+        activity: what the arm does; None plays the trajectory.
+
+    Raises:
+        HardwareAbort: a check forbids the run, or the run was stopped.
+        InputError: the user does not confirm, or a recording would replace a file.
+    """
+    console = session.console
+    checks += session.inspection_checks(plan, inspection, real=is_real)
+    table = motor_table(inspection.motors.values(), plan.trajectory.joints)
+    console.stage(*table, *check_lines(checks))
+    require_playable(checks)
+    if is_real and not record_from(PlayChoices, session.values).yes:
+        if not confirm():
+            raise InputError("not confirmed; nothing was moved")
+        # The arm may have moved or been touched in the meantime.
+        inspection = inspect_bus(link)
+        require_playable(session.inspection_checks(plan, inspection))
+    holding = session.holding(plan)
+    stop = StopRequest()
+    report = run(link, plan, inspection, stop, console.stage, holding, activity)
+    console.stage(*run_lines(report))
 
 
 def _type_name(limits: tuple[float, ...], joint: DamiaoJoint | None) -> str:

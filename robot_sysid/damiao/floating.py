@@ -1,0 +1,204 @@
+"""An arm that its gravity torque alone carries: how fast its joints drift, and what that says.
+
+The torque with which stiffness and damping held a joint beside the model's gravity fades, and then
+nothing holds the joint but its gravity torque and its friction. A joint that moves with velocity v
+and acceleration a obeys
+
+    M a + friction(v) + gravity = commanded torque,
+
+so that the error of the model's gravity is the commanded torque minus the model's torque of that
+motion. A joint that stands has an error below its dry friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.references import Follower, Reference
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import Array, Limits, Motion, RobotModel
+from robot_sysid.records.messages import percent
+
+FADE = 1.0
+"""Time in which the stiffness is taken away [s]."""
+
+
+class Floating(Follower):
+    """A reference that follows the joints, with less and less stiffness, and then with none.
+
+    It raises HardwareAbort for a joint that moves farther than ``max_tracking_error``, or faster
+    than ``approach_speed``, as commands may not follow any faster.
+
+    Args:
+        joints: the n joints, base to terminal.
+        settings: of the run.
+        carries: returns the torque (n,) that carries the arm in a pose (n,) [N m].
+        limits: of commanded positions.
+
+    Attributes:
+        samples: time since the beginning [s], and position, velocity and commanded torque (3, n) of
+            each cycle [rad, rad/s, N m].
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[DamiaoJoint],
+        settings: PlaySettings,
+        carries: Callable[[Array], Array],
+        limits: Limits,
+    ) -> None:
+        self._joints = joints
+        self._settings = settings
+        self._carries = carries
+        self._limits = limits
+        self.samples: list[tuple[float, Array]] = []
+        # Number of cycles in a row in which each joint was too fast.
+        self._fast = np.zeros(len(joints), int)
+        self._time = 0.0
+
+    def begin(self, standing: Reference) -> Floating:
+        """Take the reference in which the arm stands, and return this reference."""
+        self._limits = self._limits.including(standing.position)
+        self._position = standing.position
+        # Last believed and first positions of the joints, and the reference's distance from these.
+        self._q = self._first = standing.position
+        self._offset = np.zeros_like(self._q)
+        return self
+
+    def follow(self, q: Array, qd: Array, torque: Array) -> None:
+        """Take positions, velocities and torques of a cycle, see ``Follower``."""
+        self._q = np.where(np.isfinite(q), q, self._q)
+        if not self.samples:
+            self._first = self._q
+            self._offset = self._position - self._q
+        self.samples.append((self._time, np.stack([q, qd, torque])))
+        is_fast = np.abs(qd) > self._settings.approach_speed
+        self._fast = np.where(is_fast, self._fast + 1, 0)
+
+    def __call__(self, time: float) -> Reference:
+        """Return the reference at ``time`` [s] of floating; HardwareAbort for a joint that falls.
+
+        A single velocity may be a damaged one.
+        """
+        share = 0.5 + 0.5 * np.cos(np.pi * min(time / FADE, 1.0))
+        # Less would be rounded to nothing.
+        share = share if share > 0.01 else 0.0
+        self.stiffness = self.damping = share
+        wanted = self._q + share * self._offset
+        reach = self._settings.approach_speed * (time - self._time)
+        self._time = time
+        position = np.clip(wanted, self._position - reach, self._position + reach)
+        position = np.clip(position, self._limits.lower, self._limits.upper)
+        self._position = position
+        moved = self._q - self._first
+        leaves = np.abs(moved) > self._settings.max_tracking_error
+        for j in np.flatnonzero(leaves | (self._fast > 1)).tolist():
+            speed = self.samples[-1][1][1, j]
+            raise HardwareAbort(
+                f"{self._joints[j].label} is not carried by the model's gravity: it has moved by "
+                f"{np.degrees(moved[j]):.1f} deg in {time:.1f} s, at last by "
+                f"{np.degrees(speed):.1f} deg/s, and was caught"
+            )
+        return Reference(position, np.zeros_like(position), self._carries(self._q))
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How n joints drift, and what explains it.
+
+    Attributes:
+        speed: mean velocity (n,) without stiffness [rad/s].
+        end_speed: velocity (n,) at the end [rad/s]; 0 where a joint stands.
+        gravity: torque (n,) that holds the arm at the end, by the model [N m].
+        error: true minus modelled gravity (n,), if the model's friction is right [N m]; where a
+            joint stands, its friction is in it.
+        friction: friction (n,) at the end by the model, dry friction where a joint stands [N m].
+    """
+
+    speed: Array
+    end_speed: Array
+    gravity: Array
+    error: Array
+    friction: Array
+
+    def sentences(self, joint_names: Sequence[str]) -> Iterator[str]:
+        """Yield a sentence for each joint: how it moves, and what that says of the model."""
+        for j, name in enumerate(joint_names):
+            mean, end = np.degrees(np.abs([self.speed[j], self.end_speed[j]]))
+            if end == 0.0:
+                yield f"{name} stands (mean drift {mean:.2f} deg/s): {self._doubt(j)}"
+            else:
+                yield f"{name} {self._verb(j)} at {end:.2f} deg/s: {self._deviation(j)}"
+
+    def _doubt(self, j: int) -> str:
+        """Return how well a joint j that stands shows its gravity."""
+        if self.friction[j] == 0.0:
+            return "how right its gravity is, is not known without its dry friction"
+        return (
+            f"its gravity is right to within its dry friction, {self.friction[j]:.2g} N·m by the "
+            "model"
+        )
+
+    def _verb(self, j: int) -> str:
+        """Return how joint j moves: with its gravity, against it, or without much of it."""
+        if abs(self.gravity[j]) < abs(self.error[j]):
+            return "drifts"
+        return "sinks" if self.gravity[j] * self.end_speed[j] < 0.0 else "rises"
+
+    def _deviation(self, j: int) -> str:
+        """Return how far the gravity of a joint j that moves is from the model's."""
+        gravity = self.gravity[j]
+        error = self.error[j]
+        size = abs(error)
+        share = f" ({percent(size / abs(gravity))})" if size < abs(gravity) else ""
+        side = "more" if gravity * error > 0.0 else "less"
+        text = f"{size:.2g} N·m{share} {side} than the model's {abs(gravity):.2g} N·m"
+        if self.friction[j] == 0.0:
+            return f"its gravity is at least {text}, which has no friction"
+        return (
+            f"its gravity is about {text}; {self.friction[j]:.2g} N·m of this is its friction at "
+            "this speed, by the model"
+        )
+
+
+def measure_drift(
+    samples: Sequence[tuple[float, Array]], robot: RobotModel
+) -> Drift | None:
+    """Return how the joints of an arm drift; None where it did not float long enough.
+
+    Args:
+        samples: of ``Floating``.
+        robot: model of the arm with n joints, whose gravity torque carried it.
+    """
+    from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+
+    complete = [sample for sample in samples if np.all(np.isfinite(sample[1]))]
+    free = [sample for sample in complete if sample[0] >= FADE]
+    # An arm that was caught earlier has moved while its stiffness faded.
+    used = free if len(free) > 10 else complete
+    if len(used) < 5:
+        return None
+    time, signals = map(np.array, zip(*used))
+    q = signals[:, 0]
+    speed = (q[-1] - q[0]) / (time[-1] - time[0])
+    last = time > time[-1] - 0.5
+    since = time[last] - np.mean(time[last])
+    half_acceleration, mean_speed, middle = np.polyfit(since, q[last], 2)
+    # A tenth of a degree per second is more than two steps of a position in half a second.
+    moves = np.abs(mean_speed) > np.radians(0.1)
+    zero = np.zeros_like(middle)
+    velocity = np.stack([moves * mean_speed, zero])
+    acceleration = np.stack([moves * 2.0 * half_acceleration, zero])
+    end_speed = velocity[0] + since[-1] * acceleration[0]
+    motion = Motion(np.zeros(2), np.stack([middle, middle]), velocity, acceleration)
+    needed, gravity = ArmDynamics(robot)(motion)
+    error = np.mean(signals[last, 2], axis=0) - needed
+    friction = np.where(
+        moves, np.abs(robot.friction.torque(velocity)[0]), robot.friction.largest_dry
+    )
+    return Drift(speed, end_speed, gravity, error, friction)

@@ -1,0 +1,272 @@
+"""The command motors hold: an arm that stands, drifts, falls, or has a fault while it floats."""
+
+from __future__ import annotations
+
+import re
+import signal
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigs import arms
+from rigs.command_line import run_motors
+from rigs.damiao_rig import MotorBus, fault, map_line, only_asks, with_coarse_physics
+from rigs.wrong_arms import resting_torque
+from robot_sysid.commands import Console
+from robot_sysid.damiao.floating import Floating
+from robot_sysid.damiao.joints import damiao_joints, write_joint_map
+from robot_sysid.damiao.protocol import DISABLE, DISABLED, special_frame
+from robot_sysid.damiao.references import Reference
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import Limits
+from robot_sysid.simulation.plant import ArmStepper
+
+POSE = 0.8, 0.3
+USUAL = "--accept-directions --yes --for 0.8 --rate 100 --channel can0"
+CAUGHT = 0.3
+"""How far a joint may get that nothing holds, or that gets a wrong torque [rad]."""
+
+
+def arm(tip_mass=0.8, dry=0.05, viscous=1.0):
+    """A model of two joints that gravity loads, with friction and a mass at its end [kg]."""
+    joint = f'armature=".05" damping="{viscous}" frictionloss="{dry}" range="-2.5 2.5"'
+    tip = arms.TIP.replace('mass=".8"', f'mass="{tip_mass}"')
+    return arms.serial_arm((arms.Y, arms.Y), joint=joint, tip_inertial=tip)
+
+
+@dataclass
+class FloatTest:
+    """What a float test printed, the motors that it moved, and what it measured."""
+
+    code: int
+    out: str
+    err: str
+    bus: MotorBus
+    samples: list
+    since: float
+
+    @property
+    def moved(self):
+        """Farthest that each joint (n,) got from where it began to float, or to be held, until the
+        motors were disabled [rad].
+        """
+        off = special_frame(DISABLE, 0).data
+        end = min(frame.time for frame in self.bus.wire.sent if frame.data == off)
+        path = [q for t, q, _ in self.bus.arm.truth if self.since < t < end]
+        return np.max(np.abs(np.array(path) - path[0]), axis=0)
+
+
+@pytest.fixture
+def float_test(capsys, monkeypatch, tmp_path, heard):
+    """Runs a float test of an arm by a model; ``cause`` happens when it has floated for a while."""
+
+    def run(truth, model, options=("--float",), cause=None, after=1.3):
+        mechanism = ArmStepper(arms.robot_of(truth), POSE, 2e-3)
+        joints = damiao_joints(["DM4310"] * 2, 2)
+        bus = MotorBus(joints, mechanism, watchdog=0.15, echo=True)
+        bus.open_for_commands(monkeypatch)
+        bus.terminal_is_closed = False
+        stage = Console.stage
+
+        def print_lines(self, *messages):
+            if bus.terminal_is_closed:
+                raise OSError(5, "Input/output error")
+            stage(self, *messages)
+
+        monkeypatch.setattr(Console, "stage", print_lines)
+        floating = []
+        starts = [0.0]
+        begin = Floating.begin
+
+        def begin_with_cause(self, standing):
+            floating.append(self)
+            starts.append(bus.clock.now())
+            if cause is not None:
+                bus.at(after, lambda: cause(bus))
+            return begin(self, standing)
+
+        monkeypatch.setattr(Floating, "begin", begin_with_cause)
+        path = tmp_path / "model.xml"
+        path.write_text(model)
+        words = ("hold", USUAL, *options, "--model", path)
+        printed = run_motors(capsys, *words)
+        assert bus.states() == [DISABLED] * 2 or cause is not None
+        samples = floating[0].samples if floating else []
+        return FloatTest(*printed, bus, samples, starts[-1])
+
+    return run
+
+
+def test_an_arm_whose_model_is_right_stands(float_test):
+    test = float_test(arm(), arm())
+    assert test.code == 0 and "Done: all joints stand" in test.out
+    assert test.out.count("its gravity is right to within its dry friction, 0.05") == 2
+    # What stiffness held beside the model's gravity is nothing.
+    assert np.all(test.moved < 0.01)
+
+
+def test_the_arm_is_held_with_its_stiffness_where_it_does_not_float(float_test):
+    test = float_test(arm(1.0), arm(), options=())
+    assert test.code == 0 and "holding (0.8 s)" in test.out
+    assert "Done: held, and all motors are disabled" in test.out
+    assert not test.samples and np.all(test.moved < 0.05)
+
+
+def gravity(model):
+    """Return the torque (n,) that holds a model's arm in its pose [N m]."""
+    robot = arms.robot_of(model)
+    return resting_torque(robot, np.array([POSE]), robot.thetas)[0]
+
+
+@pytest.mark.parametrize(
+    ("share", "viscous", "code", "verb", "side"),
+    [(1.15, 0.3, 3, "sinks", "more"), (0.85, 1.5, 0, "rises", "less")],
+)
+def test_a_wrong_gravity_is_named_with_its_sign_and_size(
+    float_test, share, viscous, code, verb, side
+):
+    """Of a mass at the end that is 15 % off; a joint with little friction is caught."""
+    model = arm(viscous=viscous)
+    truth = arm(0.8 * share, viscous=viscous)
+    test = float_test(truth, model)
+    (size,) = re.findall(
+        rf"joint0 {verb} at \S+ deg/s: its gravity is about (\S+) N·m \(\S+ %\) {side}",
+        test.out,
+    )
+    error = abs(gravity(truth) - gravity(model))[0]
+    assert float(size) == pytest.approx(error, rel=0.15)
+    assert "robot-sysid plan" in test.out and "--for arm --export-damiao" in test.out
+    assert test.code == code
+    # The bound, and what a joint needs to stop.
+    assert np.all(test.moved < 0.2)
+
+
+def mirrored(joint):
+    """A joint map in which one motor turns the other way than it does, and stands where it does."""
+    mounted = [(), ()]
+    mounted[joint] = (-1, 2.0 * POSE[joint])
+    return [map_line(f"joint{j}", j + 1, j + 0x11, *mounted[j]) for j in range(2)]
+
+
+OTHER_ARMS = {
+    # Gravity hardly loads it: only floating shows what is wrong.
+    "wrist mirrored": (0.6, 0.6, mirrored(1), r"joint1\) is not carried", 0.06),
+    "shoulder mirrored": (
+        0.8,
+        0.8,
+        mirrored(0),
+        r"joint0\) .* turns the other way",
+        0.2,
+    ),
+    "far too heavy": (0.8, 2.0, (), r"joint0\) .* while it should stand still", 0.1),
+    "far too light": (1.4, 0.8, (), r"joint0\) is not carried", 0.2),
+}
+"""The mass at the arm's end and that of its model [kg], the joint map, what is said, and how far a
+joint gets [rad]."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHER_ARMS)
+def test_the_model_of_another_arm_is_caught(float_test, tmp_path, name):
+    mass, model_mass, rows, message, bound = OTHER_ARMS[name]
+    options = ["--float"]
+    if rows:
+        write_joint_map(tmp_path / "joint_map.csv", rows)
+        options += ["--joint-map", tmp_path / "joint_map.csv"]
+    test = float_test(arm(mass), arm(model_mass), options)
+    assert test.code == 3 and re.search(message, test.err)
+    assert np.all(test.moved < bound)
+
+
+@given(
+    steps=st.lists(
+        st.tuples(st.floats(0.001, 0.02), st.floats(-0.1, 0.1) | st.just(np.nan)),
+        min_size=1,
+        max_size=40,
+    )
+)
+def test_no_feedback_leads_commands_out_of_their_bounds(steps):
+    """Of position and speed; or the joint that moves so is named."""
+    joints = damiao_joints(["DM4310"], 1)
+    limits = Limits(np.array([-0.05]), np.array([0.05]))
+    floating = Floating(joints, PlaySettings(), np.zeros_like, limits)
+    zero = np.zeros(1)
+    last = floating.begin(Reference(zero, zero, zero))(0.0).position
+    time = 0.0
+    for duration, angle in steps:
+        floating.follow(np.array([angle]), zero, zero)
+        time += duration
+        position = floating(time).position
+        assert abs(position[0]) <= 0.05
+        assert abs(position - last)[0] <= 0.2 * duration + 1e-12
+        last = position
+    floating.follow(np.array([0.31]), zero, zero)
+    with pytest.raises(HardwareAbort, match="motor 1 is not carried"):
+        floating(time)
+
+
+def test_a_simulated_arm_may_be_another_one(capsys, monkeypatch, arm_file):
+    with_coarse_physics(monkeypatch)
+    model = arm_file(arm(viscous=1.5))
+    truth = arm_file(arm(1.2, viscous=1.5), "truth.xml")
+    words = "hold --float --simulate --for 0.5 --rate 100 --motor-type DM4310 --pose"
+    options = (*POSE, "--model", model, "--plant-model", truth)
+    code, out, _ = run_motors(capsys, words, *options)
+    assert code == 3 and "joint0 sinks at" in out
+
+
+def test_a_model_with_more_joints_than_motors_is_refused(float_test):
+    test = float_test(arm(), arms.serial_arm((arms.Y, arms.Y, arms.X)))
+    assert test.code == 2 and "motor 3 (joint joint2): no motor answers" in test.err
+    assert only_asks(test.bus.wire.sent)
+
+
+def interrupt(bus):
+    signal.raise_signal(signal.SIGINT)
+
+
+def close_terminal(bus):
+    bus.terminal_is_closed = True
+
+
+def _angle(motor):
+    return motor.position
+
+
+POWER_LOST = fault(0, silent=True, brake=0.0, torque_share=0.0)
+FAULTS = {
+    "loses power": (POWER_LOST, 3, "motor 1 .* did not answer", np.inf),
+    "answers vanish": (
+        fault(0, lost_replies=True),
+        3,
+        "motor 1 .* did not answer",
+        0.1,
+    ),
+    "reports a fault": (fault(0, status=0xA), 3, "motor 1 .* reports status A", np.inf),
+    "reported angle jumps": (fault(0, shift=0.3), 3, "motor 1 .* jumped by", 0.1),
+    "encoder jumps": (fault(0, encoder_error=0.3), 3, "motor 1 .* jumped by", 0.1),
+    "encoder freezes": (fault(0, frozen_encoder=_angle), 0, "", 0.3),
+    "half its torque": (
+        fault(0, torque_share=0.5),
+        3,
+        "motor 1 .* is not carried",
+        0.2,
+    ),
+    "Ctrl-C": (interrupt, 3, "stopped by SIGINT", 0.1),
+    "terminal closed": (close_terminal, 1, "or printing it failed", 0.2),
+}
+"""What happens to the first joint while it floats and sinks by 4 deg/s: the cause, the exit code,
+what is said, and how far that joint then gets [rad]; the other one is held within 0.03 rad."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAULTS)
+def test_an_arm_with_a_fault_is_held(float_test, name):
+    cause, code, message, bound = FAULTS[name]
+    test = float_test(arm(0.85), arm(), cause=cause)
+    assert test.code == code and re.search(message, test.err)
+    assert test.moved[0] < bound and test.moved[1] < 0.03
