@@ -189,6 +189,12 @@ def row(arm: PublicArm) -> str:
     return f"| {arm.name} | {own_errors()} | {elsewhere(arm)} | {arm.published} |"
 
 
+def link_folder(root: Path) -> None:
+    """Show the contents of a folder in the working one."""
+    for path in root.iterdir():
+        Path(path.name).symlink_to(path)
+
+
 def table(root: Path) -> list[str]:
     """Return the lines of the table, and the commands below it."""
     lines = [
@@ -197,8 +203,7 @@ def table(root: Path) -> list[str]:
     ]
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        for path in root.iterdir():
-            Path(path.name).symlink_to(path)
+        link_folder(root)
         for arm in ARMS:
             lines.append(row(arm))
             print(lines[-1], file=sys.stderr)
