@@ -337,9 +337,14 @@ def json_states(folder: Path, data: Recording) -> Path:
     return path
 
 
+def _other_order() -> list[int]:
+    """Return the joints from the end of the alphabet on."""
+    return np.argsort(JOINTS)[::-1].tolist()
+
+
 def json_arrays(folder: Path, data: Recording) -> Path:
-    """An object of arrays, joints by the alphabet of their names."""
-    order = np.argsort(JOINTS)[::-1]
+    """An object of arrays, joints in the order of their names' list."""
+    order = _other_order()
     joints = {"joint_names": [JOINTS[k] for k in order]}
     for name, values in (("q", data.q), ("qd", data.qd), ("tau", data.tau)):
         joints[name] = values[:, order].tolist()
@@ -366,7 +371,7 @@ def joint_rows(folder: Path, data: Recording) -> Path:
     """A row per joint and instant, joints in an order of their own."""
     rows: list[list[object]] = []
     for time, *values in zip(data.time.tolist(), data.q, data.qd, data.tau):
-        for k in (1, 0, 2):
+        for k in _other_order():
             rows.append([time, JOINTS[k], *(float(v[k]) for v in values)])
     titles = ["time", "joint", "position", "velocity", "torque"]
     return write(folder / "joints.csv", rows, titles)
@@ -374,7 +379,7 @@ def joint_rows(folder: Path, data: Recording) -> Path:
 
 def echo(folder: Path, data: Recording, csv: bool = False) -> Path:
     """What ros2 topic echo prints of a JointState, behind a warning."""
-    order = [2, 0, 1]
+    order = _other_order()
     names = [JOINTS[k] for k in order]
     documents = ["WARNING: topic [/joint_states] does not appear to be published yet"]
     lines = []

@@ -30,8 +30,13 @@ from robot_sysid.logs.reader import open_log
 ROWS = 24
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
 _ARROW = ("Parquet",)
-_TEXT = ("libfranka", "RTDE", "PlotJuggler")
-_ARRAYS = ("npz", "ALOHA", *_ARROW)
+_TEXT = (
+    *("libfranka", "RTDE", "PlotJuggler", "lists in cells"),
+    *("rows of signals", "rows of joints", "echo CSV"),
+)
+_JSON = ("JSON lines", "JSON states", "JSON arrays")
+_ARRAYS = ("npz", "ALOHA", *_ARROW, *_JSON, "echo", "Excel")
+_ARRAYS += ("MCAP of JSON", "MCAP of protobuf")
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "LeRobot")
 SLOW_SHARE = 0.02
 """Bags and data sets take a tenth of a second, a table a thousandth."""
