@@ -95,7 +95,11 @@ class FittedLogOptions(LogOptions):
     """Which logs an arm is identified from (``measurements``), and which one only tests that."""
 
     measurements: tuple[Path, ...] = option(
-        (), "recording of the real arm", "LOG", flag="measurements", takes_many=True
+        (),
+        "recording of the real arm; its positions and torques may be two files",
+        "LOG",
+        flag="measurements",
+        takes_many=True,
     )
     validation_measurements: Path | None = option(
         None, "another log that only tests the result", "LOG.csv"

@@ -245,8 +245,9 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         forms = [form for name, form in _FOLDERS.items() if (path / name).is_file()]
         if not forms:
             raise InputError(
-                f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or "
-                "ROS 2 bag, a LeRobot data set, HDF5, Parquet, NumPy .npz or MATLAB .mat"
+                f"{path} is a folder of no known form; a log is a text table (CSV), JSON, a ROS 1 "
+                "or ROS 2 bag, MCAP, a LeRobot data set, HDF5, Parquet, NumPy .npz, MATLAB .mat "
+                "or Excel .xlsx"
             )
     else:
         forms = [
