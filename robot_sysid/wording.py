@@ -24,6 +24,11 @@ def in_python() -> Iterator[None]:
         _IS_FOR_PYTHON.reset(token)
 
 
+def is_for_python() -> bool:
+    """Return whether texts are for readers in Python, where no command to run follows a text."""
+    return _IS_FOR_PYTHON.get()
+
+
 def option_name(key: str, form: str = "") -> str:
     """Return an option's name, and behind it the form of its value if one is given.
 

@@ -17,24 +17,24 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3889,
-    "robot_sysid/commands": 10581,
+    "robot_sysid/commands": 10609,
     "robot_sysid/damiao": 32156,
-    "robot_sysid/diagnosis": 15936,
+    "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29103,
-    "robot_sysid/logs": 20156,
+    "robot_sysid/logs": 24938,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8557,
     "robot_sysid/motion": 14850,
     "robot_sysid/pipeline": 7017,
-    "robot_sysid/records": 10391,
+    "robot_sysid/records": 10474,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 10400,
     "robot_sysid/servo": 4800,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10854,
-    "tests": 218396,
+    "robot_sysid": 10867,
+    "tests": 219883,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -37,11 +37,14 @@ def remedies(
     logs = next(filter(None, map(values.get, keys)), ())
     paths = [*map(Path, leaves(logs))]
     typed = [PROGRAM, *name.split(), *arguments]
-    # The corrected columns file has all lines of the one in use.
-    if isinstance(error, ColumnsError) and "--columns" in typed:
+    # The corrected columns have all that those in use have.
+    if any("--columns" in option for option in error.options) and "--columns" in typed:
         at = typed.index("--columns")
         del typed[at : at + 2]
     for option in error.options:
+        if option[0] == "--units" and values.get("units"):
+            # The last one of a command counts.
+            option = ("--units", f"{values['units']},{option[1]}")
         # A payload of known mass has all that the weighing needs, but for the first scales.
         if error.command == "payload" and paths and "known_mass" not in values:
             # The recording with the weight has the form of the log, and lies beside it.

@@ -12,7 +12,9 @@ from pathlib import Path
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.logs.column_map import declarations
 from robot_sysid.records import Column, ColumnMap, Recording
+from robot_sysid.records.option_fields import Columns
 
 # Titles that no columns file takes for a number, a factor, a key or a comment.
 _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
@@ -72,6 +74,9 @@ def _corrected_lines(
             if group[source].factor and (source != joint or factor != 1.0):
                 value = _column_text(columns.titles, group[source], factor)
                 lines[f"{quantity}.{name}"] = value
+    if lines and any(column.zero for column in columns.position):
+        for name, (source, _) in zip(joint_names, correction.position):
+            lines[f"zero.{name}"] = f"{columns.position[source].zero:.12g}"
     return lines
 
 
@@ -93,16 +98,21 @@ def _column_text(titles: Sequence[str], column: Column, factor: float) -> str:
     return f"{signs[total]}{title}" if total in signs else f"{total:.12g} * {title}"
 
 
-def _add_lines(path: Path | None, lines: dict[str, str], reason: str) -> str:
+def _add_lines(source: Columns | None, lines: dict[str, str], reason: str) -> str:
     """Return the text of a columns file with lines added to it, or replaced in it.
 
     Args:
-        path: of the file that is in use; None for none.
+        source: the file, or the line in its place, that is in use; None for none.
         lines: key to value of the lines.
         reason: for the comment above the lines.
     """
-    text = path.read_text(encoding="utf-8-sig") if path else ""
-    old_lines = filter(None, text.rstrip("\n").split("\n"))
+    if isinstance(source, Path):
+        text = source.read_text(encoding="utf-8-sig")
+        old_lines = [*filter(None, text.rstrip("\n").split("\n"))]
+    else:
+        old_lines = [
+            f"{key} = {value}" for key, value in declarations(source or "").items()
+        ]
     unchanged = [s for s in old_lines if s.partition("=")[0].strip() not in lines]
     changed = [f"{key} = {value}" for key, value in lines.items()]
     return "\n".join([*unchanged, f"# {' '.join(reason.split())}", *changed, ""])

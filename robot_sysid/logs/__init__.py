@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot_sysid.records.option_fields import (
+    Columns,
     Factors,
     OptionRecord,
     check_factor,
@@ -51,11 +52,17 @@ class LogOptions(OptionRecord):
     torques, as the identification of servos needs them.
     """
 
-    columns: Path | None = option(
-        None, "file that says which column is what", "FILE", default_text="recognised"
+    columns: Columns | None = option(
+        None,
+        "which column is what: a line such as 'position = A*', or a file of such lines",
+        "COLUMNS",
+        default_text="recognised",
     )
     units: str | None = option(
-        None, "units of the log, such as deg or deg,ms", "UNITS", default_text="SI"
+        None,
+        "units of the log, such as deg,ms, mm or 4096/rev",
+        "UNITS",
+        default_text="SI",
     )
     torque_scale: Factors | None = option(
         None,

@@ -4,22 +4,26 @@ A column belongs to a joint because its title carries the joint's name (``elbow_
 by counting from 0 or 1 (``q1 .. q6``, ``j0_pos ..``). ``ColumnMap.describe`` states every choice in
 one line; where two columns could be one quantity, an error lists both.
 
-The file of ``--columns`` declares columns that titles do not determine, as ``key = value``::
+``--columns`` declares columns that titles do not determine, as ``key = value``, in a file with a
+line each or in one line with commas between them::
 
     # lines starting with # are comments
     time = Zeit
     units = deg, ms
+    position = actuators[*].position   * is the joint's number or name
+    position = #2..#7              columns by their numbers, base to terminal
     position = A1, A2, A3          one title per chain joint, base to terminal
     torque.joint1 = M1
     torque.joint2 = -M2            a minus flips the sign
     torque.joint3 = 0.95 * I3      a number scales
     torque.joint4 = none           the joint has no motor, or no sensor
     velocity = none                keep a quantity out
+    zero = 2048                    what positions and commands read at zero: one number, or n
 
 Keys: time, position, velocity, acceleration (accepted but not used), torque, joint_time (a time
-stamp of each joint's own), command (commanded position of a servo), units (rad, deg; s, ms, us, ns)
-and rate (samples per second, for a log without a time column). ``#3`` is the third column, for a
-log without titles.
+stamp of each joint's own), command (commanded position of a servo), zero, units (of angles, slides
+and time) and rate (samples per second, for a log without a time column). ``#3`` is the third
+column, for a log without titles.
 """
 
 from __future__ import annotations
@@ -27,9 +31,12 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.logs.titles import (
@@ -37,24 +44,36 @@ from robot_sysid.logs.titles import (
     TIME_UNITS,
     UNITS,
     Title,
+    UnrecognisedError,
     ambiguity_error,
+    fit_pattern,
     match_joints,
+    measured_columns,
     read_title,
 )
-from robot_sysid.records import Column, ColumnMap, RobotModel
+from robot_sysid.records import Array, Column, ColumnMap, RobotModel
 from robot_sysid.records.messages import count_text
+from robot_sysid.records.option_fields import joint_values, parse_numbers
 from robot_sysid.wording import option_name
 
-# Keys of a columns file that may be followed by ".joint".
-_JOINT_KEYS = (*QUANTITIES, "joint_time", "command")
-# All keys of a columns file.
+# Keys of declarations that may be followed by ".joint".
+_JOINT_KEYS = (*QUANTITIES, "joint_time", "command", "zero")
+# All keys of declarations.
 _KEYS = ("time", *_JOINT_KEYS, "acceleration", "units", "rate")
+_Source = tuple[int, float]
+"""A column (index) and the factor that was declared for it."""
 # A factor and a title: "0.95 * I3", or a title with a minus: "-M2".
 _SCALED = re.compile(
     r"(?:([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*|-)\s*(.+)", re.ASCII
 )
-# Units of angles that a user may declare.
-_ANGLE_UNITS = ("rad", "deg")
+# Columns by their numbers: "#2..#7".
+_RANGE = re.compile(r"#(\d+) *\.\. *#(\d+)", re.ASCII)
+# Kind of unit to those that a user may declare.
+_UNIT_FORMS = {
+    "angle_unit": re.compile(r"rad|mrad|deg|cdeg|rev|[1-9]\d*(\.\d+)?/rev", re.ASCII),
+    "length_unit": re.compile("m|mm"),
+    "time_unit": re.compile("|".join(TIME_UNITS)),
+}
 
 
 @dataclass(frozen=True)
@@ -64,8 +83,9 @@ class ColumnChoices:
     Attributes:
         time: title of the time column.
         columns: quantity to joint name to title, "-title" or "0.5 * title"; "none" leaves a
-            quantity out.
-        angle_unit: "rad" or "deg".
+            quantity out. The joint "" stands for all: a pattern, a range or a list.
+        angle_unit: "rad", "mrad", "deg", "cdeg", "rev", or counts such as "4096/rev".
+        length_unit: of slides, "m" or "mm".
         time_unit: "s", "ms", "us" or "ns".
         rate: samples per second of a log without a time column [Hz].
     """
@@ -73,6 +93,7 @@ class ColumnChoices:
     time: str | None = None
     columns: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     angle_unit: str | None = None
+    length_unit: str | None = None
     time_unit: str | None = None
     rate: float | None = None
 
@@ -85,50 +106,83 @@ class ColumnChoices:
 
 def parse_units(text: str) -> ColumnChoices:
     """Return the units of a list with commas or blanks such as "deg,ms", or raise InputError."""
+    chosen: dict[str, str] = {}
     units = re.findall(r"[^,\s]+", text)
-    angle_unit = next((unit for unit in units if unit in _ANGLE_UNITS), None)
-    time_unit = next((unit for unit in units if unit in TIME_UNITS), None)
-    recognised = [unit for unit in (angle_unit, time_unit) if unit]
-    if not units or len(units) > len(recognised):
-        valid = f"one of {', '.join(_ANGLE_UNITS)} and one of {', '.join(TIME_UNITS)}"
+    for unit in units:
+        kinds = [kind for kind, form in _UNIT_FORMS.items() if form.fullmatch(unit)]
+        chosen.update(dict.fromkeys(kinds, unit))
+    if not units or len(units) > len(chosen):
         raise InputError(
-            f"units {text!r} are not understood; give at most {valid}, as in 'deg,ms'"
+            f"units {text!r} are not understood; give at most one of rad, mrad, deg, cdeg, rev and "
+            "counts such as 4096/rev for angles, one of m and mm for slides, and one of "
+            f"{', '.join(TIME_UNITS)} for time, as in 'deg,ms'"
         )
-    return ColumnChoices(angle_unit=angle_unit, time_unit=time_unit)
+    # Mypy takes the values of ``**`` to be those of any field.
+    return ColumnChoices(**chosen)  # type: ignore[arg-type]
 
 
-def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
-    """Return the declarations in a columns file, for a chain with these joints (n,).
+def unit_value(unit: str | None, units: Mapping[str, float]) -> float | None:
+    """Return the value in SI units of a declared unit, by a table of ``UNITS``; None for none."""
+    counts, slash, turn = (unit or "").rpartition("/")
+    value = units.get(turn)
+    return value / float(counts) if slash and value else value
+
+
+def declarations(source: Path | str) -> Mapping[str, str]:
+    """Return key to value as a columns file, or a line in its place, states them.
+
+    InputError where the file cannot be read, or an entry is no ``key = value``, or a blank.
+    """
+    if isinstance(source, Path):
+        try:
+            text = source.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            fault = error_text(error)
+            raise InputError(
+                f"cannot read the columns file {source}: {fault}"
+            ) from error
+        # Not splitlines: titles may hold other line ends. "#" begins a comment at the start of a
+        # line or behind a blank, unless it is column "#3".
+        entries = [re.sub(r"(^|\s)#(?!\d).*", "", s) for s in text.split("\n")]
+    else:
+        # A comma before the next "key =" ends a setting; titles may hold others.
+        entries = re.split(r",\s*(?=[a-z_]+(?:\.[^,=]*)?\s*=)|\n", source)
+    values: dict[str, str] = {}
+    for number, entry in enumerate(entries, start=1):
+        if not entry.strip():
+            continue
+        key, equals, value = map(str.strip, entry.partition("="))
+        place = f"{source} line {number}" if isinstance(source, Path) else "columns"
+        if not equals or not value or key in values:
+            raise InputError(f"{place}: expected one 'key = value' per key: {entry!r}")
+        if key.partition(".")[0] not in _KEYS:
+            raise InputError(
+                f"{place}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}"
+            )
+        if "?" in value.replace(",", " ").split():
+            raise InputError(
+                f"{place}: {key} = {value} is a blank: put what it is in the place of the '?'"
+            )
+        values[key] = value
+    return values
+
+
+def read_columns(source: Path | str, joint_names: Sequence[str]) -> ColumnChoices:
+    """Return the declarations of a columns file or line, for a chain with these joints (n,).
 
     InputError where it cannot be read, or a key, joint, unit or number in it is unknown.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        fault = error_text(error)
-        raise InputError(f"cannot read the columns file {path}: {fault}") from error
-    values = {}
+    values = declarations(source)
     columns: dict[str, dict[str, str]] = {}
-    # Not splitlines: titles may hold other line ends.
-    for number, line in enumerate(text.split("\n"), start=1):
-        # "#" begins a comment at the start of a line or behind a blank, unless it is column "#3".
-        content = re.sub(r"(^|\s)#(?!\d).*", "", line).strip()
-        if not content:
-            continue
-        key, equals, value = map(str.strip, content.partition("="))
-        if not equals or not value or key in values:
-            raise InputError(
-                f"{path} line {number}: expected one 'key = value' per key: {line!r}"
-            )
+    for key, value in values.items():
         quantity, _, joint = key.partition(".")
-        if quantity not in _KEYS:
+        if joint and joint not in joint_names:
+            valid = f"the chain's joints are {', '.join(joint_names)}"
             raise InputError(
-                f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}"
+                f"columns: {key} names the unknown joint {joint!r}; {valid}"
             )
-        values[key] = value
         if quantity in _JOINT_KEYS:
-            titles = _titles_by_joint(path, quantity, joint, value, joint_names)
-            columns.setdefault(quantity, {}).update(titles)
+            columns.setdefault(quantity, {})[joint] = value
     units = parse_units(values["units"]) if "units" in values else ColumnChoices()
     rate = None
     if "rate" in values:
@@ -137,41 +191,9 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             rate = float(values["rate"])
         if not 0.0 < rate < math.inf:
             raise InputError(
-                f"{path}: rate must be a positive number of samples per second"
+                "columns: rate must be a positive number of samples per second"
             )
     return replace(units, time=values.get("time"), columns=columns, rate=rate)
-
-
-def _titles_by_joint(
-    path: Path, quantity: str, joint: str, value: str, joint_names: Sequence[str]
-) -> dict[str, str]:
-    """Return joint name to title, from the value of one line of a columns file.
-
-    Args:
-        path: of the file, for messages.
-        quantity: the line's key before the dot.
-        joint: the key behind the dot, a joint name; "" where the line is about all joints.
-        value: the text behind "=".
-        joint_names: (n,) of the chain, base to terminal.
-
-    Raises:
-        InputError: the joint is unknown, or there is not one title per joint.
-    """
-    if joint and joint not in joint_names:
-        valid = f"the chain's joints are {', '.join(joint_names)}"
-        raise InputError(
-            f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; {valid}"
-        )
-    if joint or value == "none":
-        return dict.fromkeys([joint] if joint else joint_names, value)
-    titles = [title.strip() for title in value.split(",")]
-    if len(titles) != len(joint_names):
-        joints = count_text(len(joint_names), "joint")
-        listed = count_text(len(titles), "column")
-        raise InputError(
-            f"{path}: {quantity} lists {listed}, the chain has {joints}: {', '.join(joint_names)}"
-        )
-    return dict(zip(joint_names, titles))
 
 
 def recognise_columns(
@@ -195,16 +217,28 @@ def recognise_columns(
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
+    finder = column_finder(titles, robot, choices, currents, commanded)
+    return finder.find_all(first_row)
+
+
+def column_finder(
+    titles: Sequence[str],
+    robot: RobotModel,
+    choices: ColumnChoices,
+    currents: bool,
+    commanded: bool,
+) -> ColumnFinder:
+    """Return what finds the columns of a log; see ``recognise_columns``."""
     read_titles = [read_title(text, robot.joint_names) for text in titles]
     driven = "command" if commanded else "torque"
     quantities = [title.quantity_beside_name for title in read_titles]
     if currents and quantities.count("current") >= robot.n_joints:
         driven = "current"
-    return _ColumnFinder(read_titles, robot, choices, driven).find_all(first_row)
+    return ColumnFinder(read_titles, robot, choices, driven)
 
 
 @dataclass(frozen=True)
-class _ColumnFinder:
+class ColumnFinder:
     """Finds the columns of each quantity of one log.
 
     Attributes:
@@ -218,16 +252,58 @@ class _ColumnFinder:
     robot: RobotModel
     choices: ColumnChoices
     driven: str
+    _pattern_notes: list[str] = field(default_factory=list)
 
     @property
-    def _texts(self) -> list[str]:
+    def texts(self) -> list[str]:
         """The titles as the file has them."""
         return [title.text for title in self.titles]
 
-    def _declared(self, quantity: str) -> Mapping[str, str]:
-        """Return joint name to title, as declared; currents are declared as torques."""
-        key = "torque" if quantity == "current" else quantity
-        return self.choices.columns.get(key, {})
+    @cached_property
+    def _declared(self) -> Mapping[str, Mapping[str, _Source | None]]:
+        """Quantity to joint name to the column that is declared; None for one that has none."""
+        joint_names = self.robot.joint_names
+        declared = {}
+        for key, values in self.choices.columns.items():
+            if key == "zero":
+                continue
+            sources: dict[str, _Source | None] = {}
+            for joint, value in values.items():
+                names = [joint] if joint else joint_names
+                found: Sequence[_Source | None] = [None] * len(names)
+                # Of single joints, only the torque may be missing.
+                if value != "none" or (joint and key not in ("torque", self.driven)):
+                    found = (
+                        [self._look_up(value)] if joint else self._look_up_all(value)
+                    )
+                sources.update(zip(names, found))
+            # Currents are declared as torques.
+            quantity = "current" if (key, self.driven) == ("torque", "current") else key
+            declared[quantity] = sources
+        return declared
+
+    @cached_property
+    def _zeros(self) -> Array:
+        """What the column of each joint's position reads at zero, (n,)."""
+        zeros = np.zeros(self.robot.n_joints)
+        for joint, value in self.choices.columns.get("zero", {}).items():
+            at = [self.robot.joint_names.index(joint)] if joint else slice(None)
+            zeros[at] = joint_values(parse_numbers(value), len(zeros[at]), "zero")
+        return zeros
+
+    def recognise(self, quantity: str, first_row: Sequence[str]) -> tuple[Column, ...]:
+        """Return the columns of a quantity, or of the time, by declarations or titles; () for none.
+
+        ``first_row``: see ``find_all``.
+        """
+        try:
+            if quantity == "time":
+                return tuple(filter(None, [self.find_time()]))
+            sought = ("position", quantity)
+            candidates, _ = match_joints(self.titles, self.robot, first_row, sought)
+            return self._find_joints(quantity, candidates.get(quantity, ()))
+        except InputError:
+            return ()
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
         """Return the map, or raise InputError for the first fault.
@@ -237,11 +313,30 @@ class _ColumnFinder:
         quantities = ("position", "velocity", "joint_time", self.driven)
         # Those that are declared need not be recognised, and cannot be ambiguous.
         n_joints = self.robot.n_joints
-        open_quantities = [q for q in quantities if len(self._declared(q)) < n_joints]
-        candidates, joint_note = match_joints(
-            self.titles, self.robot, first_row, open_quantities
-        )
-        found = {q: self._find_joints(q, candidates.get(q, ())) for q in quantities}
+        open_quantities = [
+            q for q in quantities if len(self._declared.get(q, ())) < n_joints
+        ]
+        needed = ("position", self.driven, *self._declared)
+        try:
+            candidates, joint_note = match_joints(
+                self.titles, self.robot, first_row, open_quantities
+            )
+        except InputError:
+            open_quantities = [q for q in open_quantities if q in needed]
+            candidates, joint_note = match_joints(
+                self.titles, self.robot, first_row, open_quantities
+            )
+        notes = [joint_note, *self._pattern_notes]
+        found: dict[str, tuple[Column, ...]] = {}
+        for quantity in quantities:
+            try:
+                columns = self._find_joints(quantity, candidates.get(quantity, ()))
+            except InputError as error:
+                if quantity in needed:
+                    raise
+                columns = ()
+                notes.append(f"{quantity} is not used, and not needed: {error}")
+            found[quantity] = columns
         position = found["position"]
         torque = found[self.driven]
         if not position or not torque:
@@ -252,17 +347,24 @@ class _ColumnFinder:
             for column in torque
         )
         has_unit = all(self.titles[column.index].unit for column in position)
+        kinds = {self.titles[column.index].torque_kind for column in torque}
+        for kind in {"commanded", "computed"} & kinds:
+            notes.append(f"torques are {kind}, not measured, as they were declared")
+        unused = self._unused_torques({column.index for column in torque})
+        if unused:
+            notes.append(f"torques that are not used: {', '.join(unused)}")
         return ColumnMap(
-            time=self._find_time(),
+            time=self.find_time(),
             rate=self.choices.rate,
             position=position,
             torque=torque,
             velocity=found["velocity"],
             joint_time=found["joint_time"],
-            titles=self._texts,
+            titles=self.texts,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
+            length_declared=bool(self.choices.length_unit) or has_unit,
             commanded=self.driven == "command",
-            joint_note=joint_note,
+            notes=tuple(filter(None, notes)),
         )
 
     def _find_joints(
@@ -272,17 +374,19 @@ class _ColumnFinder:
 
         ``candidates``: indices of the columns that could be it, for each joint; or none.
         """
-        declared = self._declared(quantity)
-        if [*declared.values()] == ["none"] * self.robot.n_joints:
+        declared = self._declared.get(quantity, {})
+        if [*declared.values()] == [None] * self.robot.n_joints:
             return ()
         columns = []
         for joint, name in enumerate(self.robot.joint_names):
             indices = candidates[joint] if candidates else ()
-            if quantity == self.driven and declared.get(name) == "none":
-                columns.append(Column(0, "none", 0.0))
+            if len(indices) > 1:
+                indices = measured_columns(self.titles, indices)
+            source = declared.get(name)
+            if source:
+                columns.append(self._column(quantity, joint, *source))
             elif name in declared:
-                found = self._look_up(declared[name])
-                columns.append(self._column(quantity, joint, *found))
+                columns.append(Column(0, "none", 0.0))
             elif len(indices) > 1:
                 raise ambiguity_error(quantity, name, self.titles, indices)
             elif indices:
@@ -293,7 +397,7 @@ class _ColumnFinder:
             raise self._missing_error(quantity)
         return ()
 
-    def _find_time(self) -> Column | None:
+    def find_time(self) -> Column | None:
         """Return the time column, or None where a rate stands in for it."""
         if self.choices.time is not None:
             return self._column("time", 0, *self._look_up(self.choices.time))
@@ -310,13 +414,14 @@ class _ColumnFinder:
         if len(rows) > 1:
             raise ambiguity_error("time", "", self.titles, rows)
         if not rows:
-            raise InputError(
+            raise UnrecognisedError(
                 "the log has no time column (evenly spaced rows may have rate = HZ in its place)"
             )
         return self._column("time", joint=0, index=rows[0])
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
+        n_joints = self.robot.n_joints
         candidates = [t.text for t in self.titles if t.joint_quantity == quantity]
         listed = ", ".join(candidates) or "none"
         fault = (
@@ -324,7 +429,7 @@ class _ColumnFinder:
             f"({', '.join(self.robot.joint_names)}): found {listed}"
         )
         currents = [t for t in self.titles if t.quantity_beside_name == "current"]
-        if quantity == "torque" and len(currents) >= self.robot.n_joints:
+        if quantity == "torque" and len(currents) >= n_joints:
             # With constants, the columns are complete: no columns file is needed.
             fault += (
                 f"; {currents[0].text}, ... are motor currents: give "
@@ -332,8 +437,9 @@ class _ColumnFinder:
                 "are not known, begin with 1 N·m/A, and a weight of known mass shows them"
             )
             return InputError(fault, [("--torque-constants", "1")])
+        torques = self._unused_torques()
         commands = [t for t in self.titles if t.quantity_beside_name == "command"]
-        if quantity == "torque" and len(commands) >= self.robot.n_joints:
+        if quantity == "torque" and len(commands) >= n_joints and not torques:
             fault += (
                 f"; {commands[0].text}, ... are commanded positions, as of position servos: "
                 "identify --torque-from position-error takes the torque from the distance of "
@@ -344,17 +450,31 @@ class _ColumnFinder:
             return InputError(fault, [option], command="identify")
         if quantity == "command":
             fault += " (titles such as action, command, q_des or goal_position)"
-        return InputError(f"{fault}. Columns: {', '.join(self._texts)}")
+        others = [text for text in torques if "(measured)" not in text]
+        if quantity == "torque" and others:
+            fault += f"; not measured are {', '.join(others)}"
+        return UnrecognisedError(fault)
 
-    def _look_up(self, text: str) -> tuple[int, float]:
+    def _unused_torques(self, used: Collection[int] = ()) -> list[str]:
+        """Return titles of torques, with "*" for the joint, and what marks them.
+
+        ``used``: indices of the columns of torques that are used; a gripper's torque that has the
+        title of theirs is left out.
+        """
+        kinds: dict[str, str | None] = {}
+        for index, title in enumerate(self.titles):
+            kind = title.torque_kind if self.driven == "torque" else None
+            pattern = re.sub(r"\d+", "*", title.text)
+            if title.joint in self.robot.joint_names:
+                pattern = title.text.replace(title.joint, "*")
+            if kind and kinds.setdefault(pattern, kind) and index in used:
+                kinds[pattern] = None
+        return [f"{pattern} ({kind})" for pattern, kind in kinds.items() if kind]
+
+    def _look_up(self, text: str) -> _Source:
         """Return (column index, factor) of "title", "-title" or "0.5 * title"."""
-        texts = self._texts
-        title = text
-        factor = 1.0
-        scaled = _SCALED.fullmatch(text)
-        if text not in texts and scaled:
-            title = scaled[2]
-            factor = float(scaled[1] or -1.0)
+        texts = self.texts
+        title, factor = self._split_factor(text)
         if re.fullmatch(r"#\d+", title) and title not in texts:
             # The columns by their numbers, from 1.
             texts = list(map("#{}".format, range(1, len(texts) + 1)))
@@ -363,6 +483,35 @@ class _ColumnFinder:
         raise InputError(
             f"the log has no single column {title!r}; name one that there is once"
         )
+
+    def _look_up_all(self, text: str) -> Sequence[_Source]:
+        """Return (column index, factor) of each joint, by a pattern, a range or a list."""
+        joint_names = self.robot.joint_names
+        title, factor = self._split_factor(text)
+        fits, note = fit_pattern(title, self.texts, joint_names)
+        if fits:
+            self._pattern_notes.append(note)
+            return [(column, factor) for column in fits]
+        titles = [each.strip() for each in text.split(",")]
+        ends = _RANGE.fullmatch(title)
+        if ends:
+            first, last = map(int, ends.groups())
+            step = 1 if last >= first else -1
+            titles = [f"{factor} * #{k}" for k in range(first, last + step, step)]
+        if len(titles) != len(joint_names):
+            joints = count_text(len(joint_names), "joint")
+            listed = count_text(len(titles), "column")
+            raise InputError(
+                f"{text!r} lists {listed}, the chain has {joints}: {', '.join(joint_names)}"
+            )
+        return [*map(self._look_up, titles)]
+
+    def _split_factor(self, text: str) -> tuple[str, float]:
+        """Return title and factor of "title", "-title" or "0.5 * title"."""
+        scaled = _SCALED.fullmatch(text)
+        if text in self.texts or not scaled:
+            return text, 1.0
+        return scaled[2], float(scaled[1] or -1.0)
 
     def _column(
         self, quantity: str, joint: int, index: int, factor: float = 1.0
@@ -380,10 +529,10 @@ class _ColumnFinder:
         if quantity in ("time", "joint_time"):
             declared_unit = self.choices.time_unit
         elif self.robot.is_slide[joint]:
-            declared_unit = None
+            declared_unit = self.choices.length_unit
         units = UNITS[quantity]
-        declared = units.get(declared_unit or "")
-        to_si = units.get(title.unit) if title.unit else declared
+        declared = unit_value(declared_unit, units)
+        to_si = units.get(title.unit, declared) if title.unit else declared
         if to_si is None and title.unit and abs(factor) == 1.0:
             fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {quantity}"
             raise InputError(
@@ -393,4 +542,5 @@ class _ColumnFinder:
         if declared is not None and to_si != declared:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"
             raise InputError(f"{fault}; declare what the column holds, or rename it")
-        return Column(index, title.text, factor * (to_si or 1.0), factor)
+        zero = self._zeros[joint] if quantity in ("position", "command") else 0.0
+        return Column(index, title.text, factor * (to_si or 1.0), factor, float(zero))

@@ -104,6 +104,8 @@ def _join(
     return replace(
         position,
         titles=(*position.titles, *(torque.titles[k] for k in tau_columns)),
+        first_row=position.first_row
+        and (*position.first_row, *[""] * len(tau_columns)),
         blocks=partial(array_blocks, [cells, tau]),
         choices=position.choices.over(torque.choices),
         row_noun="row",

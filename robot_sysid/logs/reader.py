@@ -24,15 +24,18 @@ from robot_sysid.logs import LogOptions, arrays, documents
 from robot_sysid.logs.checks import read_recording
 from robot_sysid.logs.column_map import (
     ColumnChoices,
+    column_finder,
+    declarations,
     parse_units,
-    read_columns_file,
-    recognise_columns,
+    read_columns,
 )
 from robot_sysid.logs.halves import join_halves
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
+from robot_sysid.logs.suggestion import BLANK, suggest_columns
 from robot_sysid.logs.table import LogTable, as_input_errors
 from robot_sysid.logs.text_shapes import text_table
+from robot_sysid.logs.titles import UnrecognisedError
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress
@@ -43,7 +46,7 @@ from robot_sysid.records.option_fields import (
     options_of,
 )
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
-from robot_sysid.wording import with_option_names
+from robot_sysid.wording import is_for_python, option_setting, with_option_names
 
 
 def open_log(
@@ -74,7 +77,7 @@ def open_log(
     columns = replace(columns, torque=tuple(torque))
     recording = read_recording(table, columns, robot, progress or Progress())
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
-    source_notes = filter(None, (*table.notes, columns.joint_note))
+    source_notes = (*table.notes, *columns.notes)
     pieces = piece_notes(recording, split_at_gaps(recording))
     notes = (*details, *source_notes, *recording.notes, *pieces)
     return replace(recording, notes=notes, options=vars(options))
@@ -151,20 +154,36 @@ def _map_columns(
     ``path`` is the log's, for messages. InputError where columns are missing.
     """
     choices = parse_units(options.units) if options.units else ColumnChoices()
+    declared: Mapping[str, str] = {}
     if options.columns:
-        declared = read_columns_file(Path(options.columns), robot.joint_names)
-        choices = choices.over(declared)
+        declared = declarations(options.columns)
+        choices = choices.over(read_columns(options.columns, robot.joint_names))
     choices = choices.over(table.choices)
     currents = options.torque_constants is not None
+    finder = column_finder(table.titles, robot, choices, currents, options.commanded)
     try:
-        return recognise_columns(
-            table.titles, robot, choices, table.first_row, currents, options.commanded
-        )
+        return finder.find_all(table.first_row)
     except InputError as error:
         fault = f"{path}: {error}"
-        if not error.options:
-            fault += f"; {with_option_names(_REMEDY)}"
-        raise InputError(fault, error.options, error.command) from None
+        suggestion = None
+        if isinstance(error, UnrecognisedError):
+            suggestion = suggest_columns(table, finder)
+        if suggestion is None:
+            if not error.options:
+                titles = ", ".join(table.titles)
+                fault += f"; {with_option_names(_REMEDY)}; {_HALF}. Columns: {titles}"
+            raise InputError(fault, error.options, error.command) from None
+    entries = {**declared, **suggestion.entries}
+    if "units" in declared and suggestion.units:
+        entries["units"] = f"{declared['units']}, {suggestion.entries['units']}"
+    line = ", ".join(f"{key} = {value}" for key, value in entries.items())
+    is_complete = BLANK not in line.replace(",", " ").split()
+    if BLANK in map(entries.get, ("position", "torque")):
+        suggestion.reasons.append(_HALF)
+    doubt = "if that is right" if is_complete else "with the '?' filled in"
+    action = f"give {option_setting('columns', line)}" if is_for_python() else "run"
+    sentences = [fault, *suggestion.reasons, f"{doubt}, {action}"]
+    raise InputError("; ".join(sentences), [("--columns", line, *suggestion.further)])
 
 
 def origin_of(logs: Sequence[Recording]) -> DataOrigin:
@@ -213,8 +232,10 @@ _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
 # What to do where columns are not recognised.
 _REMEDY = (
     "say which column is what with {columns FILE}, of lines such as 'position = A, B, C' with a "
-    "title for each joint; a file of the torques, or of the positions, is given behind this one"
+    "title for each joint, or 'position = A*'"
 )
+# What to do where columns are in another file.
+_HALF = "a file of the torques, or of the positions, is given behind this one"
 # Fields of options that change what is read from a log.
 _READING_OPTIONS = ("columns", "units", "topic", "episode")
 # Fields of options that change torques.

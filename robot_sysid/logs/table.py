@@ -177,6 +177,7 @@ def read_cells(
     progress.advance(label, 1.0, 1.0, "")
     cells = cells[:count]
     for column, numbers in zip(used, cells.T[-len(used) :]):
+        numbers -= column.zero
         np.multiply(numbers, column.factor, out=numbers, where=np.isfinite(numbers))
     if columns.time is None:
         cells[:, 1] = np.arange(count) / (columns.rate or 1.0)

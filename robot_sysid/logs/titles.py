@@ -51,7 +51,7 @@ QUANTITY_OF_TOKEN = by_token(
         "position": "q pos position positions angle angles qpos jpos",
         "velocity": "qd dq qdot dqdt vel velocity velocities speed speeds qvel jvel",
         "acceleration": "qdd ddq qddot acc accel acceleration accelerations qacc jacc",
-        "torque": "tau taus torque torques effort efforts eff trq tq force forces",
+        "torque": "tau taus torque torques effort efforts eff trq tq force forces moment moments",
     }
 )
 """Token of a title to the quantity that it stands for."""
@@ -59,10 +59,17 @@ QUANTITY_OF_TOKEN = by_token(
 # Tokens that mark a command or a reference.
 _COMMANDED = token_set(
     "cmd command commanded commands des desired ref reference target setpoint sp goal planned "
-    "plan ff feedforward d action actions"
+    "plan ff feedforward d action actions soll"
 )
 # Tokens of commands that do not stand for commanded positions.
 _FEED_FORWARD = token_set("ff feedforward")
+# Tokens that mark a torque as computed by a model.
+_COMPUTED = token_set(
+    "model computed calculated calc predicted rigid gravity grav friction ext external simulated "
+    "sim"
+)
+# Tokens that mark a measurement; those of the first kind outrank those of the second.
+_MEASURED = (token_set("meas measured measurement msr"), token_set("actual act ist"))
 # Tokens that may be in a title without changing its quantity.
 _NEUTRAL = token_set(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
@@ -92,7 +99,13 @@ _TIMES = by_token(
     }
 )
 _POSITIONS = by_token(
-    {1.0: "rad rads radians m", DEGREE: "deg degree degrees °", 1e-3: "mm"}
+    {
+        1.0: "rad rads radians m",
+        DEGREE: "deg degree degrees °",
+        DEGREE / 100: "cdeg centideg centidegrees",
+        2 * math.pi: "rev revs turn turns",
+        1e-3: "mm mrad",
+    }
 )
 UNITS = {
     "time": _TIMES,
@@ -101,10 +114,12 @@ UNITS = {
     "command": _POSITIONS,
     "velocity": by_token(
         {
-            1.0: "rads radsec rad rads1 ms",
+            1.0: "rads radsec rad rads1 ms m",
             DEGREE: "degs deg dps degsec °s",
+            DEGREE / 100: "cdegs cdeg",
+            2 * math.pi: "revs rev",
             math.pi / 30: "rpm",
-            1e-3: "mms",
+            1e-3: "mms mm mrads mrad",
         }
     ),
     "torque": by_token({1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"}),
@@ -114,7 +129,7 @@ UNITS = {
 # Tokens of a title that are a unit, or a part of one.
 _UNIT_TOKENS = token_set(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
-    "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
+    "degs degree degrees ° cdeg centideg centidegrees mrad dps rpm mm nm mnm ncm knm s2"
 )
 # Text in round, square or curly brackets.
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
@@ -164,6 +179,18 @@ class Title:
     def is_commanded(self) -> bool:
         """Whether a token marks it as a command or a reference, not a measurement."""
         return bool(_COMMANDED & {*self.tokens})
+
+    @property
+    def torque_kind(self) -> str | None:
+        """Whether a torque is "commanded", "computed" or "measured", by its tokens; None for no
+        torque.
+        """
+        tokens = {*self.tokens}
+        if "torque" not in map(QUANTITY_OF_TOKEN.get, tokens):
+            return None
+        if self.is_commanded:
+            return "commanded"
+        return "computed" if tokens & _COMPUTED else "measured"
 
     @property
     def quantity_beside_name(self) -> str | None:
@@ -244,6 +271,62 @@ def _pieces(text: str) -> list[str]:
     return re.findall(r"[a-zA-Z°µ]+|\d+", split_camel_case(with_units).lower())
 
 
+class UnrecognisedError(InputError):
+    """Titles do not say which column is what: there is none for a quantity, or several."""
+
+
+def measured_columns(titles: Sequence[Title], columns: Sequence[int]) -> Sequence[int]:
+    """Return those of some columns (indices) that a word marks as measured; all where none does."""
+    for marks in _MEASURED:
+        marked = [column for column in columns if marks & {*titles[column].tokens}]
+        if marked:
+            return marked
+    return columns
+
+
+def fit_pattern(
+    pattern: str, titles: Sequence[str], joint_names: Sequence[str]
+) -> tuple[Sequence[int], str]:
+    """Return the columns (n,) whose titles fit a pattern, base to terminal, and a note on names.
+
+    "*" stands for the joint's number or name; of several, one does. Nothing is returned where no
+    title fits.
+
+    Raises:
+        InputError: as many titles fit as the arm has no joints, or another arm's.
+    """
+    for star in re.finditer(r"\*", pattern):
+        front = re.escape(pattern[: star.start()])
+        back = re.escape(pattern[star.end() :])
+        form = re.compile(rf"{front}(.+){back}")
+        fits = [match and match[1] for match in map(form.fullmatch, titles)]
+        names = {text: column for column, text in enumerate(fits) if text}
+        counted = {text: names[text] for text in names if text.isdecimal()}
+        columns: list[int] = []
+        note = ""
+        if counted:
+            names = counted
+            numbers = {int(text): column for text, column in names.items()}
+            order = _order_of_numbers([*map(int, names)], joint_names, is_declared=True)
+            columns = [numbers[number] for number in order]
+        elif names:
+            matched = match_joint_names([*names], joint_names)
+            columns = [names[text] for text in matched]
+            note = joint_note(matched, [*names])
+        # Less than that of the titles where two are the same.
+        count = sum(text in names for text in fits)
+        if columns and count == len(names):
+            return columns, note
+        if names:
+            listed = ", ".join(t for t, text in zip(titles, fits) if text in names)
+            raise InputError(
+                f"{pattern!r} fits {count} columns ({listed}), and not one for each of the "
+                f"{len(joint_names)} joints ({', '.join(joint_names)}): list the columns instead, "
+                "base to last joint"
+            )
+    return (), ""
+
+
 QUANTITIES = ("position", "velocity", "torque")
 """Measured quantities with a column per joint."""
 Candidates = Mapping[str, Sequence[Sequence[int]]]
@@ -316,11 +399,12 @@ def match_joints(
 
 
 def _order_of_numbers(
-    numbers: Sequence[int], joint_names: Sequence[str]
+    numbers: Sequence[int], joint_names: Sequence[str], is_declared: bool = False
 ) -> Sequence[int]:
     """Return which of the numbers in titles is each joint's, base to terminal; () for no answer.
 
-    They are those of the joints' names, or count from 0 or 1.
+    They are those of the joints' names, or count from 0 or 1; from any number where a user has
+    declared the titles.
     """
     order = sorted(numbers)
     own_numbers = name_numbers(joint_names)
@@ -329,7 +413,8 @@ def _order_of_numbers(
     # Where the model's names are numbered in another order, counting contradicts them.
     is_ordered = own_numbers == sorted(own_numbers)
     count = len(joint_names)
-    is_counted = order in ([*range(count)], [*range(1, count + 1)])
+    starts = order[:1] if is_declared else (0, 1)
+    is_counted = any(order == [*range(k, k + count)] for k in starts)
     return order if is_ordered and is_counted else ()
 
 
@@ -347,14 +432,14 @@ def _words_beside_quantity(unitless: str) -> str:
 
 def ambiguity_error(
     quantity: str, joint: str, titles: Sequence[Title], columns: Sequence[int]
-) -> InputError:
+) -> UnrecognisedError:
     """Return the error for a quantity that each of several columns (indices) could be.
 
     ``joint`` is "" for a quantity of no joint.
     """
     listed = " and ".join(repr(titles[column].text) for column in columns)
     of_joint = f" of joint {joint}" if joint else ""
-    return InputError(f"{listed} could both be the {quantity}{of_joint}")
+    return UnrecognisedError(f"{listed} could both be the {quantity}{of_joint}")
 
 
 def _listed_names(

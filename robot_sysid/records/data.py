@@ -78,12 +78,14 @@ class Column:
         title: as the file has it.
         factor: by which the column's numbers are multiplied to be in SI units.
         declared_factor: the part of this factor that the line of a columns file states.
+        zero: the number in the column that stands for zero.
     """
 
     index: int
     title: str
     factor: float
     declared_factor: float = 1.0
+    zero: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,9 +101,10 @@ class ColumnMap:
         joint_time: time stamps of each joint; () where the log has none.
         titles: of all columns of the log, used or not.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
+        length_declared: whether that of slides was.
         commanded: whether ``torque`` holds commanded positions in place of torques.
-        joint_note: a sentence on which joints of the log are those of the model; "" where their
-            names are equal or columns were found otherwise.
+        notes: sentences on which joints of the log are those of the model, where their names
+            differ, and on what is not used.
     """
 
     time: Column | None
@@ -113,7 +116,8 @@ class ColumnMap:
     titles: Sequence[str]
     angle_declared: bool
     commanded: bool
-    joint_note: str
+    notes: tuple[str, ...]
+    length_declared: bool = False
 
     def groups(self) -> tuple[tuple[Column, ...], ...]:
         """Return the columns of position, torque, velocity and joint time; () for a missing one."""
@@ -149,8 +153,11 @@ def _quote(columns: Sequence[Column]) -> str:
         if not column.factor:
             texts.append("none")
             continue
+        text = f"'{column.title}'"
+        if column.zero:
+            text = f"({text} - {column.zero:g})"
         scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
-        texts.append(f"'{column.title}'{scale}")
+        texts.append(f"{text}{scale}")
     return ", ".join(texts)
 
 

@@ -42,6 +42,8 @@ PerJoint = Union[float, tuple[float, ...]]
 """One number for all joints, or one per joint."""
 Factors = Union[PerJoint, Path]
 """One number for all joints, one per joint, or the file that lists them by name."""
+Columns = Union[Path, str]
+"""The file that says which column is what, or a line that does."""
 SCALE = "torque_scale"
 """Key of the table of torque scales in a file."""
 CONSTANTS = "torque_constants"
@@ -401,6 +403,11 @@ def parse_factors(text: str) -> Factors:
         return Path(text)
 
 
+def parse_columns(text: str) -> Columns:
+    """Return a line of settings such as "position = q[*]", or the file that a text names."""
+    return text if "=" in text and not os.path.exists(text) else Path(text)
+
+
 def check_factor(value: float | Path) -> str | None:
     """Return a complaint unless a value is a file or a positive number; None where it is."""
     complaint = None if isinstance(value, Path) else check_positive(value)
@@ -507,6 +514,11 @@ _TYPES: Mapping[str, tuple[Any, tuple[type, ...], str]] = {
         parse_factors,
         (Real, os.PathLike),
         f"a number, a file, or {_PER_JOINT}",
+    ),
+    "Columns": (
+        parse_columns,
+        (str, os.PathLike),
+        "a file, or a line such as 'position = q[*]'",
     ),
     "float": (float, (Real,), "a number"),
     "int": (parse_whole_number, (Integral,), "a whole number"),

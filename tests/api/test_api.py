@@ -107,8 +107,10 @@ def test_arrays_that_are_no_columns_are_named_with_what_is_wrong(changed, messag
         rs.read_log({**log, **changed}, robot)
 
 
-def test_a_text_in_place_of_a_columns_file_is_named(workshop, model):
-    with pytest.raises(InputError, match="^cannot read the columns file"):
+def test_columns_are_stated_in_a_text_of_lines_too(workshop, model):
+    log = rs.read_log(workshop / "log.csv", model, columns="rate = 2\ntime = time\n")
+    assert len(log) > 10
+    with pytest.raises(InputError, match="no single column 't'"):
         rs.read_log(workshop / "log.csv", model, columns="time = t\nrate = 2\n")
 
 

@@ -200,4 +200,4 @@ def test_what_cannot_be_used_is_said_in_one_line(
     assert "at rest" in command.refused("identify", path, still_log, *SERVOS)
     one = servo_logs.write(tmp_path / "one.csv", time, q, commands)
     one.write_text(one.read_text().replace("action_joint1", "remark"))
-    assert "with --columns FILE" in command.refused("identify", path, one, *SERVOS)
+    assert "the '?' filled in" in command.refused("identify", path, one, *SERVOS)

@@ -115,7 +115,7 @@ def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column
     twice = {f"train/{name}": values for name, values in COLUMNS.items()}
     twice.update({f"test/{name}": values for name, values in COLUMNS.items()})
     np.savez(path, **twice)
-    assert_refused(r"train/q\[0\], .*test/q\[0\]", path)
+    assert_refused(r"train/q\[\*\] .*test/q\[\*\] ", path)
 
 
 @pytest.mark.parametrize("start", [np.datetime64("2024-05-01", "ns"), 0])

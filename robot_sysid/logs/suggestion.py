@@ -1,0 +1,397 @@
+"""The line of ``--columns`` that titles and numbers of a log suggest, where titles do not say it.
+
+Columns with one title but for a number or a joint's name, as many as the arm has joints, are a
+group; in a log without titles, as many columns that follow each other. Words of its title say what
+a group is, and so do numbers: velocities are the derivative of positions, positions keep the
+joints' ranges, torques follow the arm's weight. Where both are silent, or contradict each other,
+the line has a "?", which is refused until it is filled in.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, permutations
+
+import numpy as np
+
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.errors import InputError
+from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.titles import (
+    TIME_UNITS,
+    UNITS,
+    Title,
+    fit_pattern,
+    measured_columns,
+)
+from robot_sysid.records import Array
+
+BLANK = "?"
+"""What stands for a column or a unit that could not be told."""
+# Cells of a first row that are numbers, times or empty.
+_NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
+# Titles that a line takes for nothing else.
+_PLAIN_TITLE = re.compile(r"[^\s=?#+-]([^=?\x00-\x1f]*[^\s=?])?")
+# Excess over a joint's range that a zero elsewhere may make (chosen).
+_MARGIN = 1.2
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns of one quantity, as it seems: one per joint.
+
+    Attributes:
+        text: that stands for them in a line.
+        title: of the first one.
+        columns: (n,) indices, base to terminal.
+        samples: (N, n) the numbers in them.
+    """
+
+    text: str
+    title: Title
+    columns: tuple[int, ...]
+    samples: Array
+
+    @property
+    def quantity(self) -> str | None:
+        """What its title names beside other words: a quantity, or how a torque was not measured."""
+        kind = self.title.torque_kind
+        return (
+            kind
+            if kind in ("commanded", "computed")
+            else self.title.quantity_beside_name
+        )
+
+    def __str__(self) -> str:
+        low = np.nanmin(self.samples)
+        high = np.nanmax(self.samples)
+        return f"{self.text} ({low:.4g} to {high:.4g})"
+
+
+class Suggestion:
+    """Declarations that a log lacks, found one after the other.
+
+    Args:
+        finder: of the log's columns, with what was declared.
+        first_row: of the log, as text.
+        samples: (N, C) numbers of all columns.
+        groups: of columns.
+
+    Attributes:
+        entries: key to value of the line.
+        further: options that it needs beside.
+        units: of the line.
+        reasons: sentences on columns, and on what their numbers told.
+        clock: (N,) time [s], or number of the row where no column is the time.
+        position: (N, n) positions [rad]; None where they could not be told.
+    """
+
+    def __init__(
+        self,
+        finder: ColumnFinder,
+        first_row: Sequence[str],
+        samples: Array,
+        groups: Sequence[Group],
+    ) -> None:
+        self.finder = finder
+        self.first_row = first_row
+        self.samples = samples
+        self.groups = groups
+        self.entries: dict[str, str] = {}
+        self.further: tuple[str, ...] = ()
+        self.units: list[str] = []
+        self.reasons: list[str] = []
+        self.clock = np.arange(len(samples), dtype=float)
+        self.position: Array | None = None
+
+    def find_time(self) -> None:
+        """Find the column of time, which increases steadily, and its unit, by a plausible rate."""
+        finder = self.finder
+        if finder.choices.rate:
+            self.clock /= finder.choices.rate
+            return
+        indices = [column.index for column in finder.recognise("time", self.first_row)]
+        if not indices:
+            grouped = {*chain.from_iterable(group.columns for group in self.groups)}
+            steady = [k for k in _steady_columns(self.samples) if k not in grouped]
+            # A column that counts rows is no clock, unless it is called so.
+            steps = np.diff(self.samples, axis=0)
+            clocks = [k for k in steady if not np.all(steps[:, k] == 1.0)]
+            named = [
+                k for k in steady if finder.titles[k].quantity_beside_name == "time"
+            ]
+            indices = named or clocks
+            key = "time" if indices else "rate"
+            self.entries[key] = BLANK
+            if len(indices) != 1:
+                return
+            self.entries[key] = _column_text(finder.texts, indices)
+            self.reasons.append(f"{finder.texts[indices[0]]!r} increases steadily")
+        unit = finder.titles[indices[0]].unit or finder.choices.time_unit
+        self.clock = self.samples[:, indices[0]] * UNITS["time"].get(unit or "s", 1.0)
+        if unit:
+            return
+        # Of rates from 10 to 5000 Hz, one unit of time at most makes one.
+        period = np.nanmedian(np.diff(self.clock))
+        units = [u for u in TIME_UNITS if 2e-4 <= period * UNITS["time"][u] <= 0.1]
+        self.clock *= UNITS["time"][units[0]] if units else np.nan
+        self.units += [unit for unit in units or [BLANK] if unit != "s"]
+
+    def find_motion(self) -> None:
+        """Find positions with their units, and velocities, the derivative of positions."""
+        ratios = {}
+        motions = [
+            g for g in self.groups if g.quantity in (None, "position", "velocity")
+        ]
+        for group, other in permutations(motions, 2):
+            ratio = _derivative_ratio(group.samples, other.samples, self.clock)
+            if ratio is not None:
+                ratios[group.text, other.text] = ratio
+        found = self.finder.recognise("position", self.first_row)
+        if found:
+            samples = self.samples[:, [column.index for column in found]]
+            self._find_units(samples * [column.factor for column in found])
+            return
+        self.entries["position"] = BLANK
+        derived = {text for _, text in ratios}
+        candidates = self._of_quantity("position")
+        if not candidates:
+            integrals = {text for text, _ in ratios} - derived
+            candidates = [g for g in motions if g.text in integrals]
+        if len(candidates) != 1:
+            return
+        position = candidates[0]
+        if position.text in derived:
+            self.reasons.append(f"{position.text} are the derivative of other columns")
+            return
+        self.entries["position"] = position.text
+        for group in motions:
+            ratio = ratios.get((position.text, group.text))
+            if ratio and "rate" in self.entries:
+                self.entries["rate"] = f"{float(f'{ratio:.3g}'):g}"
+                ratio = 1.0
+            if ratio and abs(ratio - 1.0) < 0.1:
+                self.entries["velocity"] = group.text
+                self.reasons.append(
+                    f"{group.text} are the derivative of {position.text}"
+                )
+        unit = UNITS["position"].get(position.title.unit, 1.0)
+        self._find_units(position.samples * unit, position.title.unit)
+
+    def _find_units(self, q: Array, stated: str = "") -> None:
+        """Find the units in which positions (N, n) keep the joints' ranges.
+
+        ``stated``: unit that titles state, which has been applied.
+        """
+        robot = self.finder.robot
+        choices = self.finder.choices
+        reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
+        # More than an arm's joints have.
+        reach[np.isinf(reach) & ~robot.is_slide] = 4.0 * np.pi
+        excess = np.nanmax(np.abs(q), axis=0) / reach
+        # Counts of an encoder are whole numbers, and could be any.
+        is_whole = bool(np.all(q == np.round(q)))
+        for is_kind, declared, units in (
+            (
+                ~robot.is_slide,
+                choices.angle_unit,
+                ["deg"] if is_whole else ["deg", "cdeg"],
+            ),
+            (robot.is_slide, choices.length_unit, ["mm"]),
+        ):
+            largest = np.max(excess[is_kind], initial=0.0)
+            if stated or declared or largest <= _MARGIN:
+                continue
+            values = {unit: UNITS["position"][unit] for unit in units}
+            fitting = [u for u, value in values.items() if value * largest <= _MARGIN]
+            # Near the range, a zero may be elsewhere.
+            if not fitting or largest < _MARGIN**3:
+                self.units.append(BLANK)
+                return
+            q = np.where(is_kind, values[fitting[0]] * q, q)
+            self.units.append(fitting[0])
+            self.reasons.append(f"positions keep the joints' ranges in {fitting[0]}")
+        self.position = q
+
+    def find_driven(self) -> None:
+        """Find torques, or commanded positions of servos."""
+        driven = self.finder.driven
+        if self.finder.recognise(driven, self.first_row):
+            return
+        key = "command" if driven == "command" else "torque"
+        candidates = self._of_quantity(driven)
+        if driven == "torque" and not candidates:
+            candidates = self._of_quantity("current")
+            self.further = ("--torque-constants", "1") if candidates else ()
+        if driven == "torque" and not candidates:
+            candidates = self._of_quantity("commanded")
+            self.reasons += [
+                f"{g.text} were commanded, not measured: they are the arm's torque only where "
+                "motors follow closely and gravity is in them"
+                for g in candidates
+            ]
+        if driven == "torque" and not candidates:
+            others = [g for g in self.groups if g.text not in self.entries.values()]
+            candidates = [
+                g for g in others if not g.quantity and self._follows_weight(g)
+            ]
+            self.reasons += [f"{g.text} follow the arm's weight" for g in candidates]
+        self.entries[key] = candidates[0].text if len(candidates) == 1 else BLANK
+
+    def _of_quantity(self, quantity: str) -> list[Group]:
+        """Return the groups that titles call a quantity; the measured ones, where some say so."""
+        groups = [group for group in self.groups if group.quantity == quantity]
+        first_columns = [group.columns[0] for group in groups]
+        measured = measured_columns(self.finder.titles, first_columns)
+        return [group for group in groups if group.columns[0] in measured]
+
+    def _follows_weight(self, group: Group) -> bool:
+        """Return whether a group is nearly the torque that holds the model, or its opposite."""
+        if self.position is None:
+            return False
+        rows = np.linspace(0, len(self.samples) - 1, 500).astype(int)
+        signals = np.hstack((self.position, group.samples))[rows]
+        q, tau = np.hsplit(signals[~np.isnan(signals).any(axis=1)], 2)
+        weight = ArmDynamics(self.finder.robot).torque(q, 0.0 * q, 0.0 * q)
+        # A constant is no torque: what changes has to agree, too, as far as friction lets it.
+        changes = (weight - np.mean(weight, axis=0), tau - np.mean(tau, axis=0))
+        for (expected, found), least in (((weight, tau), 0.8), (changes, 0.5)):
+            norms = np.linalg.norm(expected) * np.linalg.norm(found)
+            if np.abs(np.sum(expected * found)) <= least * norms:
+                return False
+        return True
+
+
+def suggest_columns(table: LogTable, finder: ColumnFinder) -> Suggestion | None:
+    """Return the declarations that a log lacks; None where no columns are a group.
+
+    Args:
+        table: the log.
+        finder: of its columns, with what was declared.
+    """
+    samples = _read_samples(table)
+    groups = [*_find_groups(finder, samples)]
+    if not groups:
+        return None
+    grouped = {*chain.from_iterable(group.columns for group in groups)}
+    others = [t for k, t in enumerate(finder.texts) if k not in grouped]
+    listed = ", ".join([*map(str, groups), *others])
+    suggestion = Suggestion(finder, table.first_row, samples, groups)
+    suggestion.reasons.append(f"its columns are {listed}")
+    suggestion.find_time()
+    suggestion.find_motion()
+    suggestion.find_driven()
+    if suggestion.units:
+        suggestion.entries["units"] = ", ".join(suggestion.units)
+    return suggestion
+
+
+def _read_samples(table: LogTable) -> Array:
+    """Return the numbers (N, C) of the first rows of a log, NaN where a column is text."""
+    most = 50_000
+    columns = [*range(len(table.titles))]
+    if table.first_row:
+        columns = [k for k in columns if _NUMBER.fullmatch(table.first_row[k])]
+    chunks = []
+    count = 0
+    for block in table.rows(columns):
+        cells = np.full((len(block.cells), len(table.titles)), np.nan)
+        cells[:, columns] = np.where(np.isfinite(block.cells), block.cells, np.nan)
+        chunks.append(cells)
+        count += len(cells)
+        if count >= most:
+            break
+    return np.concatenate(chunks)
+
+
+def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
+    """Yield the groups of columns of numbers, from left to right."""
+    texts = finder.texts
+    names = finder.robot.joint_names
+    is_number = ~np.all(np.isnan(samples), axis=0)
+    found: dict[tuple[int, ...], str] = {}
+    if len(names) == 1:
+        found = {(k,): text for k, text in enumerate(texts)}
+    elif texts == _numbered(len(texts)):
+        numbers = np.flatnonzero(is_number).tolist()
+        # What is beside full runs of joints is time.
+        times = _steady_columns(samples)[: len(numbers) % len(names)]
+        others = [k for k in numbers if k not in times]
+        for run in zip(*[iter(others)] * len(names)):
+            is_run = run[-1] - run[0] == len(names) - 1
+            found[run] = f"#{run[0] + 1}..#{run[-1] + 1}" if is_run else ""
+    else:
+        for pattern in chain.from_iterable(_patterns(text, names) for text in texts):
+            try:
+                columns, _ = fit_pattern(pattern, texts, names)
+            except InputError:
+                continue
+            found.setdefault(tuple(columns), pattern)
+    for columns, text in sorted(found.items()):
+        if columns and is_number[[*columns]].all():
+            if not (text.startswith("#") or _PLAIN_TITLE.fullmatch(text)):
+                text = _column_text(texts, columns)
+            title = finder.titles[columns[0]]
+            yield Group(text, title, columns, samples[:, [*columns]])
+
+
+def _patterns(title: str, joint_names: Sequence[str]) -> list[str]:
+    """Return a title with "*" for each of its numbers, or for a joint's name in it."""
+    numbers = re.finditer(r"\d+", title)
+    patterns = [f"{title[: m.start()]}*{title[m.end() :]}" for m in numbers]
+    return patterns + [title.replace(n, "*") for n in joint_names if n in title]
+
+
+def _numbered(count: int) -> list[str]:
+    """Return "#1", "#2", ..., the titles of columns without titles."""
+    return [f"#{number}" for number in range(1, count + 1)]
+
+
+def _column_text(texts: Sequence[str], columns: Sequence[int]) -> str:
+    """Return what a line calls columns: a title that is plain and there once, else numbers."""
+    title = texts[columns[0]]
+    if len(columns) == 1 and texts.count(title) == 1 and _PLAIN_TITLE.fullmatch(title):
+        return title
+    return ", ".join(f"#{column + 1}" for column in columns)
+
+
+def _steady_columns(samples: Array) -> list[int]:
+    """Return the columns (indices) that increase from row to row by steps of about one size."""
+    steady = []
+    for column, values in enumerate(samples.T):
+        step = np.diff(values[~np.isnan(values)])
+        if len(step) < 10 or np.mean(step > 0.0) < 0.99:
+            continue
+        low, high = np.percentile(step, (10, 90))
+        if high < 10.0 * low:
+            steady.append(column)
+    return steady
+
+
+def _derivative_ratio(integral: Array, derivative: Array, clock: Array) -> float | None:
+    """Return by what columns (N, n) are to be divided to be the derivative of others by a clock.
+
+    None where they are not, at a joint that moves, or where the joints disagree.
+    """
+    signals = np.column_stack((clock, integral, derivative))
+    time, q, qd = np.split(
+        signals[~np.isnan(signals).any(axis=1)], [1, 1 + integral.shape[1]], 1
+    )
+    stride = 20
+    if len(time) < 5 * stride:
+        return None
+    path = np.cumsum(np.diff(time, axis=0) * (qd[1:] + qd[:-1]) / 2.0, axis=0)
+    expected = q[1 + stride :] - q[1:-stride]
+    distance = path[stride:] - path[:-stride]
+    squares = np.sum(expected**2, axis=0)
+    moving = squares > 0.01 * np.max(squares)
+    products = np.sum(expected * distance, axis=0)[moving]
+    norms = np.sqrt(squares * np.sum(distance**2, axis=0))[moving]
+    if not moving.any() or np.any(products <= 0.9 * norms):
+        return None
+    ratios = products / squares[moving]
+    ratio = float(np.median(ratios))
+    return ratio if np.ptp(ratios) < 0.1 * ratio else None
