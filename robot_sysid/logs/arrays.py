@@ -5,6 +5,7 @@ from 7.3 on write it.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import statistics
 import warnings
@@ -21,6 +22,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices
+from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.table import (
     ROWS,
     Block,
@@ -52,12 +54,15 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     """
     uses = Counter(name.rpartition("/")[2] for name in arrays)
     columns = {}
+    left_out = []
     for name, values in arrays.items():
         if isinstance(values, np.ndarray) and values.size:
             values = _in_seconds(values, values.flat[0])
         if can_be_column(values):
             short_name = name.rpartition("/")[2]
             columns[short_name if uses[short_name] == 1 else name] = values
+        else:
+            left_out.append(name)
     # The longer side of an array are the samples. Their number is that of the times, else the most
     # frequent one.
     times = [n for n in columns if read_title(n).quantity == "time"]
@@ -74,7 +79,14 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
             width = rows.size // n_rows
             titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]
             samples.append(rows)
-    return LogTable(path, layout, tuple(titles), partial(array_blocks, samples))
+    notes = [f"arrays without numbers are not used: {join_names(left_out)}"]
+    return LogTable(
+        path,
+        layout,
+        tuple(titles),
+        partial(array_blocks, samples),
+        notes=tuple(notes if left_out else ()),
+    )
 
 
 def can_be_column(array: Any) -> bool:
@@ -87,9 +99,14 @@ def can_be_column(array: Any) -> bool:
 
 def npz_table(path: Path, *_: Any) -> LogTable:
     """Return an .npz file as a table: time (N,), q, qd, tau (N, n), by these or similar names."""
-    # Nothing in it is unpickled.
+    arrays: dict[str, Any] = {}
     with path.open("rb") as stream, np.load(stream) as content:
-        return arrays_table(path, "NumPy .npz", dict(content))
+        for name in content.files:
+            arrays[name] = None
+            # Nothing in it is unpickled: an array of objects is left out.
+            with contextlib.suppress(ValueError):
+                arrays[name] = content[name]
+    return arrays_table(path, "NumPy .npz", arrays)
 
 
 def matlab_table(path: Path, *_: Any) -> LogTable:

@@ -28,8 +28,11 @@ from robot_sysid.signals.resampling import (
 from robot_sysid.wording import option_name, option_setting, with_option_names
 
 _TURN = 2.0 * np.pi
-# Options, one of which lets positions pass that look like degrees.
-_ANGLE_OPTIONS = (("--units", "deg"), ("--units", "rad"))
+# What positions of a hinge may be that are too large for degrees.
+_COUNTS = (
+    ", hundredths of them ({units=cdeg}) or counts of an encoder ({units=4096/rev} for 4096 a "
+    "turn, and 'zero = 2048' in {columns FILE} for what they read at zero)"
+)
 
 
 def read_recording(
@@ -49,8 +52,10 @@ def read_recording(
     cells, complaint = read_cells(table, columns, progress)
     restart_notes = separate_recordings(table, columns, cells)
     with prefix_input_errors(str(table.path)):
+        columns, cells, velocity_notes = _complete_velocities(columns, cells)
         lines, cells, notes = usable_rows(table, columns, cells, complaint)
         notes += restart_notes
+        notes += velocity_notes
         # With fewer, the other checks mean nothing.
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")
@@ -78,13 +83,30 @@ def read_recording(
             columns=columns,
         )
         notes += clock_notes(table, recording, lines)
-        if not columns.angle_declared:
-            require_radians(recording, robot)
+        require_units(recording, robot, columns)
         require_no_jumps(table, recording, lines)
         notes += rest_notes(recording, robot)
         notes += torque_notes(recording)
         require_one_clock(recording)
     return replace(recording, notes=tuple(notes))
+
+
+def _complete_velocities(
+    columns: ColumnMap, cells: Array
+) -> tuple[ColumnMap, Array, list[str]]:
+    """Return columns and cells without velocities where many are missing, and a note on these.
+
+    ``cells``: of all rows, as ``read_cells`` returns them.
+    """
+    start = 2 + 2 * len(columns.position)
+    velocity = slice(start, start + len(columns.velocity))
+    is_used = ~np.isnan(cells[:, 2:start]).any(axis=1)
+    count = np.count_nonzero(np.isnan(cells[is_used, velocity]).any(axis=1))
+    # In a few rows they are missing beside what is needed.
+    if count <= 0.05 * np.count_nonzero(is_used):
+        return columns, cells, []
+    note = f"recorded velocities are not used, and not needed: {count} rows lack them"
+    return replace(columns, velocity=()), np.delete(cells, velocity, axis=1), [note]
 
 
 def usable_rows(
@@ -219,29 +241,42 @@ def require_one_clock(recording: Recording) -> None:
         )
 
 
-def require_radians(recording: Recording, robot: RobotModel) -> None:
-    """Raise InputError for positions or speeds that no arm has in radians and seconds.
+def require_units(recording: Recording, robot: RobotModel, columns: ColumnMap) -> None:
+    """Raise InputError for positions or speeds that no arm has in the units taken for granted.
 
-    The error names a probable unit.
+    Those are radians or metres, and seconds. The error names probable units.
     """
     time = recording.time
     step = np.diff(time)
-    for joint in np.flatnonzero(~robot.is_slide):
+    for joint, is_slide in enumerate(robot.is_slide):
+        if columns.length_declared if is_slide else columns.angle_declared:
+            continue
         q = recording.q[:, joint]
         largest = np.max(np.abs(q))
         speed = np.abs(np.diff(q)) / step
-        # Two turns either way are more than an arm's joints have. None reaches 30 rad/s; a log in
-        # degrees does at half a radian per second.
-        if largest <= 4.0 * np.pi and np.mean(speed > 30.0) <= 0.01:
+        # Two turns either way are more than an arm's joints have; a slide, whose zero may be
+        # anywhere, has ten times its range at most.
+        reach = 4.0 * np.pi
+        if is_slide:
+            limits = [robot.limits.lower[joint], robot.limits.upper[joint]]
+            reach = 10.0 * np.max(np.abs(limits))
+        # None reaches 30 rad/s; a log in degrees does at half a radian per second.
+        if largest <= reach and np.mean(speed > 30.0) <= 0.01:
             continue
+        probable, unit = ("mm", "m") if is_slide else ("deg", "rad")
+        fault = f"positions look like {'millimetres' if is_slide else 'degrees'}"
+        options = [("--units", probable), ("--units", unit)]
+        if not is_slide and np.radians(largest) > reach:
+            fault += with_option_names(_COUNTS)
+            options = []
         rate = (len(time) - 1) / (time[-1] - time[0])
         raise InputError(
-            f"positions look like degrees, or time stamps are those of another unit, or of when "
-            f"rows were written (joint {robot.joint_names[joint]} would reach {largest:.4g} rad "
-            f"and {np.max(speed):.4g} rad/s); pass {option_setting('units', 'deg')}, or "
-            f"{option_setting('units', 'rad')}, if they are radians or count turns, or write "
-            f"'rate = {rate:.6g}' in {option_name('columns', 'FILE')} if rows are evenly spaced",
-            _ANGLE_OPTIONS,
+            f"{fault}, or time stamps are those of another unit, or of when rows were written "
+            f"(joint {robot.joint_names[joint]} would reach {largest:.4g} {unit} and "
+            f"{np.max(speed):.4g} {unit}/s); pass {option_setting('units', probable)}, or "
+            f"{option_setting('units', unit)}, if that is what they are, or write 'rate = "
+            f"{rate:.6g}' in {option_name('columns', 'FILE')} if rows are evenly spaced",
+            options,
         )
 
 

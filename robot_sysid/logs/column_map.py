@@ -129,32 +129,32 @@ def unit_value(unit: str | None, units: Mapping[str, float]) -> float | None:
 
 
 def declarations(source: Path | str) -> Mapping[str, str]:
-    """Return key to value as a columns file, or a line in its place, states them.
+    """Return key to value as a columns file, or a text in its place, states them.
 
     InputError where the file cannot be read, or an entry is no ``key = value``, or a blank.
     """
+    place = "columns"
     if isinstance(source, Path):
+        place = str(source)
         try:
-            text = source.read_text(encoding="utf-8-sig")
+            source = source.read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
             fault = error_text(error)
             raise InputError(
-                f"cannot read the columns file {source}: {fault}"
+                f"cannot read the columns file {place}: {fault}"
             ) from error
-        # Not splitlines: titles may hold other line ends. "#" begins a comment at the start of a
-        # line or behind a blank, unless it is column "#3".
-        entries = [re.sub(r"(^|\s)#(?!\d).*", "", s) for s in text.split("\n")]
-    else:
-        # A comma before the next "key =" ends a setting; titles may hold others.
-        entries = re.split(r",\s*(?=[a-z_]+(?:\.[^,=]*)?\s*=)|\n", source)
+    # "#" begins a comment at the start of a line or behind a blank, unless it is column "#3".
+    text = re.sub(r"(?m)(^|[^\S\n])#(?!\d).*", "", source)
     values: dict[str, str] = {}
-    for number, entry in enumerate(entries, start=1):
+    # A comma before the next "key =" ends an entry; titles may hold others.
+    for entry in re.split(r"\n|,\s*(?=[a-z_]+(?:\.[^,=\n]*)?\s*=)", text):
         if not entry.strip():
             continue
         key, equals, value = map(str.strip, entry.partition("="))
-        place = f"{source} line {number}" if isinstance(source, Path) else "columns"
         if not equals or not value or key in values:
-            raise InputError(f"{place}: expected one 'key = value' per key: {entry!r}")
+            raise InputError(
+                f"{place}: expected 'key = value', once per key: {entry!r}"
+            )
         if key.partition(".")[0] not in _KEYS:
             raise InputError(
                 f"{place}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}"
@@ -351,7 +351,7 @@ class ColumnFinder:
         for kind in {"commanded", "computed"} & kinds:
             notes.append(f"torques are {kind}, not measured, as they were declared")
         unused = self._unused_torques({column.index for column in torque})
-        if unused:
+        if unused and self.driven == "torque":
             notes.append(f"torques that are not used: {', '.join(unused)}")
         return ColumnMap(
             time=self.find_time(),
@@ -456,20 +456,22 @@ class ColumnFinder:
         return UnrecognisedError(fault)
 
     def _unused_torques(self, used: Collection[int] = ()) -> list[str]:
-        """Return titles of torques, with "*" for the joint, and what marks them.
+        """Return the titles of torques of as many joints, with "*" for the joint, and their marks.
 
-        ``used``: indices of the columns of torques that are used; a gripper's torque that has the
-        title of theirs is left out.
+        ``used``: indices of the columns of torques that are used.
         """
-        kinds: dict[str, str | None] = {}
+        columns: dict[str, list[int]] = {}
         for index, title in enumerate(self.titles):
-            kind = title.torque_kind if self.driven == "torque" else None
             pattern = re.sub(r"\d+", "*", title.text)
             if title.joint in self.robot.joint_names:
                 pattern = title.text.replace(title.joint, "*")
-            if kind and kinds.setdefault(pattern, kind) and index in used:
-                kinds[pattern] = None
-        return [f"{pattern} ({kind})" for pattern, kind in kinds.items() if kind]
+            if title.torque_kind:
+                columns.setdefault(pattern, []).append(index)
+        return [
+            f"{pattern} ({self.titles[indices[0]].torque_kind})"
+            for pattern, indices in columns.items()
+            if len(indices) >= self.robot.n_joints and not {*indices} & {*used}
+        ]
 
     def _look_up(self, text: str) -> _Source:
         """Return (column index, factor) of "title", "-title" or "0.5 * title"."""

@@ -14,10 +14,10 @@ not chosen from.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice, product
+from itertools import compress, islice, product
 from pathlib import Path
 from typing import Any
 
@@ -160,7 +160,7 @@ def bag_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> Lo
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
         topic, note = choose_topic(path, topics)
-    return replace(topic.table, notes=(note,) if note else ())
+    return replace(topic.table, notes=(*topic.table.notes, *filter(None, [note])))
 
 
 def _connections(bag: Any, topic: str) -> list[Any]:
@@ -193,24 +193,33 @@ def _read_topic(
     message_type = connections[0].msgtype
     layout = f"ROS bag, topic {name} ({message_type}), joints by name"
     n_messages = sum(connection.msgcount for connection in connections)
-    read = partial(_read_chunks, path, name, list(sent), start)
-    blocks = partial(chunk_blocks, read, n_messages)
     has_position, *has_torque = (
         bool(arm_joints) and sent.keys() >= {*product(arm_joints, [quantity])}
         for quantity in ("position", *TORQUE)
     )
+    # Others may publish a gripper, or a few joints of the arm, on the same topic.
+    arm_keys = {*product(arm_joints, ["position", *compress(TORQUE, has_torque)])}
+    is_whole = [sample.keys() >= arm_keys for _, sample in messages]
+    notes = [
+        "messages without all joints of the arm, of another publisher, are left out"
+    ]
+    if all(is_whole) or not any(is_whole):
+        arm_keys.clear()
+        notes.clear()
+    read = partial(_read_chunks, path, name, list(sent), start, arm_keys)
+    blocks = partial(chunk_blocks, read, n_messages)
     is_powered = any(map(sent.get, product(arm_joints, TORQUE)))
     yield Topic(
         name,
         message_type,
-        LogTable(path, layout, titles, blocks, row_noun="message"),
+        LogTable(path, layout, titles, blocks, row_noun="message", notes=tuple(notes)),
         n_messages,
         rank=(has_position, any(has_torque), is_powered and any(has_torque)),
     )
 
 
 def _read_chunks(
-    path: Path, topic: str, keys: Sequence[Key], start: int
+    path: Path, topic: str, keys: Sequence[Key], start: int, arm_keys: Set[Key]
 ) -> Iterator[Chunk]:
     """Yield the samples of a topic in chunks: time from the start [s], and the numbers of ``keys``.
 
@@ -219,13 +228,15 @@ def _read_chunks(
         topic: its name.
         keys: of the numbers of a sample.
         start: stamp at which time is zero [ns since 1970].
+        arm_keys: without which a sample is left empty.
     """
     with _open_bag(path) as bag:
         messages = _read_messages(bag, topic)
         while chunk := list(islice(messages, ROWS)):
             rows = []
             for stamp, sample in chunk:
-                numbers = [sample.get(key, np.nan) for key in keys]
+                used = sample if sample.keys() >= arm_keys else {}
+                numbers = [used.get(key, np.nan) for key in keys]
                 rows.append([1e-9 * (stamp - start), *numbers])
             yield [np.array(rows)]
 

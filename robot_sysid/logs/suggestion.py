@@ -34,7 +34,7 @@ BLANK = "?"
 # Cells of a first row that are numbers, times or empty.
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
 # Titles that a line takes for nothing else.
-_PLAIN_TITLE = re.compile(r"[^\s=?#+-]([^=?\x00-\x1f]*[^\s=?])?")
+_PLAIN_TITLE = re.compile(r"[^\s=?#+-]([^=?#\x00-\x1f]*[^\s=?#])?")
 # Excess over a joint's range that a zero elsewhere may make (chosen).
 _MARGIN = 1.2
 

@@ -107,11 +107,13 @@ def test_arrays_that_are_no_columns_are_named_with_what_is_wrong(changed, messag
         rs.read_log({**log, **changed}, robot)
 
 
-def test_columns_are_stated_in_a_text_of_lines_too(workshop, model):
-    log = rs.read_log(workshop / "log.csv", model, columns="rate = 2\ntime = time\n")
-    assert len(log) > 10
+def test_a_text_stands_in_for_a_columns_file(workshop, model):
+    log = rs.read_log(workshop / "log.csv", model, columns="position = joint*_position")
+    assert_allclose(log.q, rs.read_log(workshop / "log.csv", model).q)
     with pytest.raises(InputError, match="no single column 't'"):
         rs.read_log(workshop / "log.csv", model, columns="time = t\nrate = 2\n")
+    with pytest.raises(InputError, match="^cannot read the columns file time.txt"):
+        rs.read_log(workshop / "log.csv", model, columns="time.txt")
 
 
 @pytest.mark.slow

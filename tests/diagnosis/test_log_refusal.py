@@ -37,10 +37,12 @@ def columns_of(titles, path):
     )
 
 
-def refusal(titles, correction, folder, text="", payload=(), **attributes):
+def refusal(
+    titles, correction, folder, text="", payload=(), is_line=False, **attributes
+):
     """Return the error that refuses a log which was read with a columns file of this text.
 
-    ``payload`` are options of that command.
+    ``payload`` are options of that command; the text stands in for the file with ``is_line``.
     """
     path = folder / "mine.txt"
     path.write_text(text)
@@ -49,7 +51,7 @@ def refusal(titles, correction, folder, text="", payload=(), **attributes):
         name="run.csv",
         columns=columns,
         joint_names=NAMES,
-        options={"columns": path if text else None},
+        options={"columns": text if is_line else path if text else None},
     )
     finding = Finding(
         Level.REFUSES, "order", "it is wrong", "", payload, "payload", correction
@@ -59,11 +61,18 @@ def refusal(titles, correction, folder, text="", payload=(), **attributes):
 
 def signals(columns, quantity):
     """Return what joints would get of a log whose column k holds the number k."""
-    return [column.factor * column.index for column in getattr(columns, quantity)]
+    return [c.factor * (c.index - c.zero) for c in getattr(columns, quantity)]
 
 
 @pytest.mark.parametrize(
-    ("titles", "text"), [(PLAIN, ""), (PLAIN, FILE), (ODD, FILE), (NUMBERS, FILE)]
+    ("titles", "text"),
+    [
+        (PLAIN, ""),
+        (PLAIN, FILE),
+        (ODD, FILE),
+        (NUMBERS, FILE),
+        (PLAIN, FILE + "zero = 5, 6, 7\n"),
+    ],
 )
 @pytest.mark.parametrize("correction", CORRECTIONS)
 def test_the_file_corrects_what_was_read(
@@ -81,6 +90,14 @@ def test_the_file_corrects_what_was_read(
         order, factors = zip(*getattr(correction, source))
         expected = np.array(signals(before, quantity))[list(order)] * factors
         np.testing.assert_allclose(signals(after, quantity), expected)
+
+
+def test_a_line_becomes_the_lines_of_the_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = "time = #1, position = * position, torque = #8..#10"
+    error = refusal(PLAIN, CORRECTIONS[0], tmp_path, line, is_line=True)
+    assert error.draft.startswith(line.replace(", ", "\n"))
+    assert len(error.draft.splitlines()) > 4
 
 
 def test_a_file_of_another_text_is_not_suggested(tmp_path, monkeypatch):

@@ -7,7 +7,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rigs.log_files import JOINTS, TITLES, motion, notes_of, read_table, table
+from rigs.log_files import (
+    JOINTS,
+    TITLES,
+    limits,
+    motion,
+    notes_of,
+    read_measurements,
+    read_table,
+    table,
+    write,
+)
 from rigs.refusals import refused
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
@@ -182,3 +192,44 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
     rows = np.column_stack((table(motion()), stamps + 5.0))
     with refused(r"5 s off.*joint_time = none"):
         read_table(tmp_path, rows, titles)
+
+
+def test_velocities_that_are_missing_are_left_out_and_no_row(tmp_path):
+    data = motion()
+    rows = np.column_stack((table(data), data.qd))
+    titles = (*TITLES, "qd1", "qd2", "qd3")
+    for share, is_used in ((0.02, True), (0.3, False)):
+        count = round(share * len(rows))
+        rows[:count, 8] = np.nan
+        log = read_table(tmp_path, rows, titles)
+        assert (log.qd is not None) == is_used
+        assert len(log) == len(rows) - is_used * count
+        note = f"recorded velocities are not used, and not needed: {count} rows"
+        assert (note in notes_of(log)) == (not is_used)
+        assert is_used or log.columns.velocity == ()
+
+
+def test_a_slide_in_millimetres_is_told_by_its_range(tmp_path):
+    data = motion()
+    rows = table(data)
+    rows[:, 2] = 400.0 * data.q[:, 1]
+    path = write(tmp_path / "log.csv", rows)
+    arm = {"limits": limits(0.5), "is_slide": (False, True, False)}
+    with refused("positions look like millimetres.*--units mm") as caught:
+        read_measurements(path, JOINTS, **arm)
+    assert caught.value.options == (("--units", "mm"), ("--units", "m"))
+    log = read_measurements(path, JOINTS, **arm, units="mm")
+    np.testing.assert_allclose(log.q[:, 1], 0.4 * data.q[:, 1])
+    np.testing.assert_allclose(log.q[:, 0], data.q[:, 0])
+
+
+def test_counts_are_offered_for_what_is_too_much_for_degrees(tmp_path):
+    data = motion()
+    rows = table(data)
+    rows[:, 1:4] = 2048.0 + 652.0 * data.q
+    message = "hundredths of them .--units cdeg. or counts .* .--units 4096/rev"
+    with refused(message) as caught:
+        read_table(tmp_path, rows)
+    assert caught.value.options == ()
+    log = read_table(tmp_path, rows, columns="zero = 2048", units="4096/rev")
+    np.testing.assert_allclose(log.q, 652.0 * 2.0 * np.pi / 4096.0 * data.q)

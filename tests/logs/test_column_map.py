@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from itertools import product
 from operator import attrgetter
 
@@ -273,6 +274,135 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     assert columns.velocity == () and columns.time is None and columns.rate == 100.0
 
 
+def declared(text: str, titles: str, joints=JOINTS, **others) -> ColumnMap:
+    choices = column_map.read_columns(text, joints)
+    return recognise(titles, joints, choices, **others)
+
+
+TORQUES = "tau1,tau2,tau3"
+
+
+@pytest.mark.parametrize(
+    ("line", "titles", "expected"),
+    [
+        ("position = x[*].p", f"t,x[0].p,x[1].p,x[2].p,{TORQUES}", [1, 2, 3]),
+        ("position = x10*", f"t,x1012,x1010,x1011,{TORQUES}", [2, 3, 1]),
+        ("position = -2 * x*#", f"t,x9#,x10#,x11#,{TORQUES}", [1, 2, 3]),
+        ("position = N*m * ", f"t,N*m 0,N*m 1,N*m 2,{TORQUES}", [1, 2, 3]),
+        ("position = a, b (*)", f"t,a; b (3),a; b (2),a; b (1),{TORQUES}", [3, 2, 1]),
+        ("position = #2..#4", f"t,x,y,z,{TORQUES}", [1, 2, 3]),
+        ("position = 0.5 * #4..#2", f"t,x,y,z,{TORQUES}", [3, 2, 1]),
+        ("position = x*, position.joint1 = y", f"t,x0,x1,x2,{TORQUES},y", [1, 7, 3]),
+    ],
+)
+def test_a_pattern_or_a_range_stands_for_the_columns_of_all_joints(
+    line, titles, expected
+):
+    # A title may hold a comma, which separates titles in this test.
+    choices = column_map.read_columns(line, JOINTS)
+    texts = [title.replace(";", ",") for title in titles.split(",")]
+    columns = column_map.recognise_columns(
+        texts, arm_of(JOINTS), choices, (), currents=False, commanded=False
+    )
+    assert where(columns) == (expected, [4, 5, 6])
+    factor = {"-": -2.0, "0": 0.5}.get(line.partition("= ")[2][0], 1.0)
+    assert factors(columns.position)[0] == factor
+
+
+def test_a_pattern_fits_names_as_titles_do_and_leaves_fingers_out():
+    names = (
+        "ur_elbow_joint",
+        "ur_shoulder_lift_joint",
+        "ur_shoulder_pan_joint",
+        "ur_f",
+    )
+    titles = ",".join(f"{name}/x" for name in names)
+    columns = declared("position = */x", f"t,{titles},{TORQUES}", UR)
+    assert where(columns)[0] == [3, 2, 1]
+    (note,) = columns.notes
+    assert note.endswith("not used: ur_f")
+
+
+@pytest.mark.parametrize(
+    ("line", "titles", "fragments"),
+    [
+        ("position = x*", "t,x0,x1,x2,x3", ["fits 4 columns (x0, x1, x2, x3)"]),
+        ("position = x*", "t,x0,x1", ["fits 2 columns (x0, x1)", "3 joints"]),
+        ("position = x*", "t,x0,x2,x4", ["fits 3 columns (x0, x2, x4)"]),
+        ("position = x*", "t,x1,x01,x2", ["fits 3 columns"]),
+        ("position = x*", "t,x1,x1,x2,x3", ["fits 4 columns"]),
+        ("position = x*", "t,xa,xb,xc", ["fits 3 columns (xa, xb, xc)"]),
+        (
+            "position = y*",
+            "t,x0,x1,x2",
+            ["'y*' lists 1 column, the chain has 3 joints"],
+        ),
+        ("position = #2..#5", "t,x0,x1,x2", ["lists 4 columns"]),
+        ("position = #3..#5", "t,x0,x1,x2", ["no single column '#5'"]),
+        ("positon = x*", "t,x0,x1,x2", ["unknown key 'positon'"]),
+        ("time = t, positon = x*", "t,x0,x1,x2", ["unknown key 'positon'"]),
+        ("torque = ?", "t,x0,x1,x2", ["torque = ? is a blank"]),
+        ("units = ms, ?", "t,x0,x1,x2", ["units = ms, ? is a blank"]),
+        ("zero = 1, 2", "t,q1,q2,q3,tau1,tau2,tau3", ["zero takes one number"]),
+    ],
+)
+def test_what_a_line_cannot_mean_is_refused_with_what_it_fits(line, titles, fragments):
+    with refused(".*".join(map(re.escape, fragments))):
+        declared(line, titles)
+
+
+def test_numbers_in_a_pattern_are_those_of_the_models_names():
+    joints = ("arm_joint3", "arm_joint1", "arm_joint2")
+    columns = declared("position = x*", f"t,x1,x2,x3,{TORQUES}", joints)
+    assert where(columns)[0] == [3, 1, 2]
+    with refused("fits 3 columns"):
+        declared("position = x*", f"t,x0,x1,x2,{TORQUES}", joints)
+
+
+@pytest.mark.parametrize(
+    ("units", "factor"),
+    [
+        ("cdeg", math.pi / 18000),
+        ("mrad", 1e-3),
+        ("rev", 2 * math.pi),
+        ("4096/rev", 2 * math.pi / 4096),
+        ("8192.5/rev", 2 * math.pi / 8192.5),
+    ],
+)
+def test_units_of_angles_and_of_slides_are_declared_apart(units, factor):
+    titles = f"t,q1,q2 [ticks],q3,{TORQUES},qd1,qd2,qd3"
+    line = f"units = mm, {units}, zero = 5, zero.joint1 = -7"
+    columns = declared(line, titles, is_slide=(False, False, True))
+    assert factors(columns.position) == pytest.approx([factor, factor, 1e-3])
+    assert factors(columns.velocity) == pytest.approx([factor, factor, 1e-3])
+    assert [column.zero for column in columns.position] == [5.0, -7.0, 5.0]
+    assert {column.zero for column in columns.torque + columns.velocity} == {0.0}
+
+
+def test_measured_torques_outrank_others_which_a_note_names():
+    kinds = ("tau_measured{}", "tau_command{}", "tau_model{}", "tau_feedback{}")
+    titles = ",".join(kind.format(k) for kind in kinds for k in range(3))
+    columns = recognise(f"t,q0,q1,q2,{titles},f_effort")
+    assert where(columns)[1] == [4, 5, 6]
+    assert columns.notes == (
+        "torques that are not used: tau_command* (commanded), tau_model* (computed), "
+        "tau_feedback* (measured)",
+    )
+    for kind in ("command", "model"):
+        titles = ",".join(f"tau_{kind}{k}" for k in range(3))
+        with refused(rf"not measured are tau_{kind}\*"):
+            recognise(f"t,q0,q1,q2,{titles}")
+        columns = declared(f"torque = tau_{kind}*", f"t,q0,q1,q2,{titles}")
+        assert "not measured, as they were declared" in columns.notes[0]
+
+
+def test_velocities_that_cannot_be_told_stop_no_log():
+    for titles in ("qd0,qd1,qd2,vel0,vel1,vel2", "qd0 [kn],qd1 [kn],qd2 [kn]"):
+        columns = recognise(f"t,q0,q1,q2,{TORQUES},{titles}")
+        assert columns.velocity == ()
+        assert columns.notes[0].startswith("velocity is not used, and not needed: ")
+
+
 def test_a_joint_without_motor_has_a_torque_of_zero(tmp_path):
     text = "position = A, B, C\ntorque.joint0 = X\ntorque.joint1 = none\ntorque.joint2 = Z\n"
     columns = recognise("t,X,Y,Z,A,B,C", choices=read_choices(tmp_path, text))
@@ -286,11 +416,13 @@ def test_a_joint_without_motor_has_a_torque_of_zero(tmp_path):
         ("speed = a", "valid keys: time, position"),
         ("position = a, b", "lists 2 columns, the chain has 3"),
         ("torque.elbow = a", "unknown joint 'elbow'"),
-        ("time a", "line 1"),
-        ("time = a\ntime = b", "line 2"),
+        ("time a", "once per key: 'time a'"),
+        ("time = a\ntime = b", "once per key: 'time = b'"),
         ("rate = -3", "positive number"),
         ("units = grad", "not understood"),
         ("units = deg,rad", "not understood"),
+        ("units = 0/rev", "not understood"),
+        ("units = deg, deg", "not understood"),
         ("torque = 1.2.3 * tau1, tau2, tau3", "no single column"),
         ("torque = 1e999 * tau1, tau2, tau3", "no single column"),
         ("torque = B, tau2, tau3", "no single column 'B'"),

@@ -49,6 +49,18 @@ def test_what_is_not_in_one_message_or_not_in_order_is_refused(tmp_path):
     assert_refused(fault, write_bag(tmp_path / "back", back))
 
 
+def test_messages_of_another_publisher_are_left_out_with_a_note(tmp_path):
+    arm = rows_of(range(60))
+    gripper = [(t + 1e-3, ["f"], [0.0], [0.0], [0.0]) for t, *_ in arm]
+    parts = [(t + 1e-3, ["f", JOINTS[0]], *[[0.0, 0.0]] * 3) for t, *_ in arm]
+    without_effort = [(t + 1e-3, names, q, None, None) for t, names, q, *_ in arm]
+    for number, others in enumerate((gripper, parts, without_effort)):
+        rows = sorted([*arm, *others], key=lambda row: row[0])
+        log = read_measurements(write_bag(tmp_path / str(number), rows), JOINTS)
+        assert_array_equal(log.q, DATA.q)
+        assert "of another publisher, are left out" in log.notes[-1]
+
+
 def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
     folder = write_bag(tmp_path / "bag", rows_of(range(60)))
     part = next(folder.glob("*.db3"))
