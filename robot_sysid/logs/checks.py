@@ -266,7 +266,9 @@ def require_units(recording: Recording, robot: RobotModel, columns: ColumnMap) -
         probable, unit = ("mm", "m") if is_slide else ("deg", "rad")
         fault = f"positions look like {'millimetres' if is_slide else 'degrees'}"
         options = [("--units", probable), ("--units", unit)]
-        if not is_slide and np.radians(largest) > reach:
+        # Degrees are less, and no whole numbers.
+        is_counted = np.radians(largest) > reach or np.all(q == np.round(q))
+        if is_counted and not is_slide:
             fault += with_option_names(_COUNTS)
             options = []
         rate = (len(time) - 1) / (time[-1] - time[0])

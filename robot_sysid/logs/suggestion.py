@@ -26,6 +26,7 @@ from robot_sysid.logs.titles import (
     Title,
     fit_pattern,
     measured_columns,
+    token_set,
 )
 from robot_sysid.records import Array
 
@@ -35,6 +36,8 @@ BLANK = "?"
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
 # Titles that a line takes for nothing else.
 _PLAIN_TITLE = re.compile(r"[^\s=?#+-]([^=?#\x00-\x1f]*[^\s=?#])?")
+# Words of titles of an encoder's counts, which are positions.
+_COUNTS = token_set("ticks counts encoder enc")
 # Excess over a joint's range that a zero elsewhere may make (chosen).
 _MARGIN = 1.2
 
@@ -59,6 +62,8 @@ class Group:
     def quantity(self) -> str | None:
         """What its title names beside other words: a quantity, or how a torque was not measured."""
         kind = self.title.torque_kind
+        if _COUNTS & {*self.title.tokens}:
+            return "position"
         return (
             kind
             if kind in ("commanded", "computed")
@@ -210,6 +215,9 @@ class Suggestion:
             # Near the range, a zero may be elsewhere.
             if not fitting or largest < _MARGIN**3:
                 self.units.append(BLANK)
+                self.reasons.append(
+                    "positions are neither in SI units nor in deg or mm"
+                )
                 return
             q = np.where(is_kind, values[fitting[0]] * q, q)
             self.units.append(fitting[0])

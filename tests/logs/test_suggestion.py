@@ -150,7 +150,7 @@ BLANKS = {
         {"time": "t", "x_vel{}": "q", "x_pos{}": "qd", "tau{}": "tau"},
         "position",
     ),
-    "counts": ({"time": "t", "angle_x{}": "ticks", "tau{}": "tau"}, "units"),
+    "counts": ({"time": "t", "servo[{}].ticks": "ticks", "tau{}": "tau"}, "units"),
     "two clocks": (
         {"clock_x": "t", "clock_y": "ms", "q{}": "q", "tau{}": "tau"},
         "time",
