@@ -37,13 +37,8 @@ def remedies(
     logs = next(filter(None, map(values.get, keys)), ())
     paths = [*map(Path, leaves(logs))]
     typed = [PROGRAM, *name.split(), *arguments]
-    # The corrected columns have all that those in use have.
-    if any("--columns" in option for option in error.options) and "--columns" in typed:
-        at = typed.index("--columns")
-        del typed[at : at + 2]
     for option in error.options:
         if option[0] == "--units" and values.get("units"):
-            # The last one of a command counts.
             option = ("--units", f"{values['units']},{option[1]}")
         # A payload of known mass has all that the weighing needs, but for the first scales.
         if error.command == "payload" and paths and "known_mass" not in values:
@@ -57,4 +52,9 @@ def remedies(
             step = step_after(SAME_LOG, values, *option, log=paths)
             yield shlex.join(step.command)
         elif error.command in ("", name):
-            yield shlex.join([*typed, *option])
+            words = [*typed]
+            # Corrected columns have all that those in use have, and so have units.
+            for flag in {"--columns", "--units"} & {*typed} & {*option}:
+                at = words.index(flag)
+                del words[at : at + 2]
+            yield shlex.join([*words, *option])

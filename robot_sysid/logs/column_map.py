@@ -196,31 +196,6 @@ def read_columns(source: Path | str, joint_names: Sequence[str]) -> ColumnChoice
     return replace(units, time=values.get("time"), columns=columns, rate=rate)
 
 
-def recognise_columns(
-    titles: Sequence[str],
-    robot: RobotModel,
-    choices: ColumnChoices,
-    first_row: Sequence[str],
-    currents: bool,
-    commanded: bool,
-) -> ColumnMap:
-    """Return the column of each quantity of each joint.
-
-    Args:
-        titles: header cells; "#1", "#2", ... where the file has no header.
-        robot: the arm, whose joints the columns are for.
-        choices: declarations, which outrank the titles.
-        first_row: the first row of data (it may hold joint names, as ROS logs do).
-        currents: whether columns of motor currents are read in place of torques.
-        commanded: whether columns of commanded positions are read in place of torques.
-
-    Raises:
-        InputError: a quantity is missing, has two candidates, or contradicts the declared units.
-    """
-    finder = column_finder(titles, robot, choices, currents, commanded)
-    return finder.find_all(first_row)
-
-
 def column_finder(
     titles: Sequence[str],
     robot: RobotModel,
@@ -228,7 +203,15 @@ def column_finder(
     currents: bool,
     commanded: bool,
 ) -> ColumnFinder:
-    """Return what finds the columns of a log; see ``recognise_columns``."""
+    """Return what finds the column of each quantity of each joint.
+
+    Args:
+        titles: header cells; "#1", "#2", ... where the file has no header.
+        robot: the arm, whose joints the columns are for.
+        choices: declarations, which outrank the titles.
+        currents: whether columns of motor currents are read in place of torques.
+        commanded: whether columns of commanded positions are read in place of torques.
+    """
     read_titles = [read_title(text, robot.joint_names) for text in titles]
     driven = "command" if commanded else "torque"
     quantities = [title.quantity_beside_name for title in read_titles]
@@ -306,9 +289,14 @@ class ColumnFinder:
             return ()
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
-        """Return the map, or raise InputError for the first fault.
+        """Return the map.
 
-        ``first_row``: the cells of the first row as text, which may list joint names.
+        Args:
+            first_row: the first row of data as text (it may hold joint names, as ROS logs do).
+
+        Raises:
+            UnrecognisedError: a quantity is missing, or has two candidates.
+            InputError: it contradicts the declared units, or what is declared is not there.
         """
         quantities = ("position", "velocity", "joint_time", self.driven)
         # Those that are declared need not be recognised, and cannot be ambiguous.

@@ -123,12 +123,10 @@ class Suggestion:
             grouped = {*chain.from_iterable(group.columns for group in self.groups)}
             steady = [k for k in _steady_columns(self.samples) if k not in grouped]
             # A column that counts rows is no clock, unless it is called so.
+            titles = finder.titles
+            named = [k for k in steady if titles[k].quantity_beside_name == "time"]
             steps = np.diff(self.samples, axis=0)
-            clocks = [k for k in steady if not np.all(steps[:, k] == 1.0)]
-            named = [
-                k for k in steady if finder.titles[k].quantity_beside_name == "time"
-            ]
-            indices = named or clocks
+            indices = named or [k for k in steady if np.any(steps[:, k] != 1.0)]
             key = "time" if indices else "rate"
             self.entries[key] = BLANK
             if len(indices) != 1:
@@ -158,7 +156,8 @@ class Suggestion:
         found = self.finder.recognise("position", self.first_row)
         if found:
             samples = self.samples[:, [column.index for column in found]]
-            self._find_units(samples * [column.factor for column in found])
+            zeros = [column.zero for column in found]
+            self._find_units((samples - zeros) * [column.factor for column in found])
             return
         self.entries["position"] = BLANK
         derived = {text for _, text in ratios}
@@ -174,14 +173,16 @@ class Suggestion:
             return
         self.entries["position"] = position.text
         for group in motions:
-            ratio = ratios.get((position.text, group.text))
-            if ratio and "rate" in self.entries:
+            ratio = ratios.get((position.text, group.text), 0.0)
+            condition = ""
+            if "rate" in self.entries and 10.0 <= ratio <= 5000.0:
                 self.entries["rate"] = f"{float(f'{ratio:.3g}'):g}"
+                condition = " at that rate, if both are in one unit"
                 ratio = 1.0
-            if ratio and abs(ratio - 1.0) < 0.1:
+            if abs(ratio - 1.0) < 0.1:
                 self.entries["velocity"] = group.text
                 self.reasons.append(
-                    f"{group.text} are the derivative of {position.text}"
+                    f"{group.text} are the derivative of {position.text}{condition}"
                 )
         unit = UNITS["position"].get(position.title.unit, 1.0)
         self._find_units(position.samples * unit, position.title.unit)
@@ -197,27 +198,21 @@ class Suggestion:
         # More than an arm's joints have.
         reach[np.isinf(reach) & ~robot.is_slide] = 4.0 * np.pi
         excess = np.nanmax(np.abs(q), axis=0) / reach
-        # Counts of an encoder are whole numbers, and could be any.
-        is_whole = bool(np.all(q == np.round(q)))
+        # Whole numbers may be the counts of an encoder.
+        is_whole = np.all((q == np.round(q)) | np.isnan(q))
         for is_kind, declared, units in (
-            (
-                ~robot.is_slide,
-                choices.angle_unit,
-                ["deg"] if is_whole else ["deg", "cdeg"],
-            ),
+            (~robot.is_slide, choices.angle_unit, ["deg", "cdeg"]),
             (robot.is_slide, choices.length_unit, ["mm"]),
         ):
             largest = np.max(excess[is_kind], initial=0.0)
             if stated or declared or largest <= _MARGIN:
                 continue
-            values = {unit: UNITS["position"][unit] for unit in units}
-            fitting = [u for u, value in values.items() if value * largest <= _MARGIN]
+            values = UNITS["position"]
+            fitting = [u for u in units if values[u] * largest <= _MARGIN]
             # Near the range, a zero may be elsewhere.
-            if not fitting or largest < _MARGIN**3:
+            if is_whole or not fitting or largest < _MARGIN**3:
                 self.units.append(BLANK)
-                self.reasons.append(
-                    "positions are neither in SI units nor in deg or mm"
-                )
+                self.reasons.append("positions leave the joints' ranges in SI units")
                 return
             q = np.where(is_kind, values[fitting[0]] * q, q)
             self.units.append(fitting[0])
@@ -229,24 +224,23 @@ class Suggestion:
         driven = self.finder.driven
         if self.finder.recognise(driven, self.first_row):
             return
-        key = "command" if driven == "command" else "torque"
-        candidates = self._of_quantity(driven)
-        if driven == "torque" and not candidates:
-            candidates = self._of_quantity("current")
-            self.further = ("--torque-constants", "1") if candidates else ()
-        if driven == "torque" and not candidates:
-            candidates = self._of_quantity("commanded")
-            self.reasons += [
-                f"{g.text} were commanded, not measured: they are the arm's torque only where "
-                "motors follow closely and gravity is in them"
-                for g in candidates
-            ]
-        if driven == "torque" and not candidates:
+        is_torque = driven == "torque"
+        quantities = [driven, "current", "commanded"] if is_torque else [driven]
+        candidates = next(filter(None, map(self._of_quantity, quantities)), [])
+        quantity = candidates[0].quantity if candidates else None
+        if is_torque and quantity == "current":
+            self.further = ("--torque-constants", "1")
+        if quantity == "commanded":
+            self.reasons.append(
+                f"{candidates[0].text} were commanded, not measured: they are the arm's torque "
+                "only where motors follow closely and gravity is in them"
+            )
+        if is_torque and not candidates:
             others = [g for g in self.groups if g.text not in self.entries.values()]
-            candidates = [
-                g for g in others if not g.quantity and self._follows_weight(g)
-            ]
+            unnamed = [g for g in others if not g.quantity]
+            candidates = [*filter(self._follows_weight, unnamed)]
             self.reasons += [f"{g.text} follow the arm's weight" for g in candidates]
+        key = "torque" if driven == "current" else driven
         self.entries[key] = candidates[0].text if len(candidates) == 1 else BLANK
 
     def _of_quantity(self, quantity: str) -> list[Group]:

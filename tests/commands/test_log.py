@@ -14,7 +14,9 @@ from rigs import arms, recorded
 from rigs.command_line import CommandLine
 from rigs.payload_logs import TrueArm, wide_motion
 from rigs.wrong_arms import truth_of
+from robot_sysid.commands.remedies import remedies
 from robot_sysid.diagnosis import gate
+from robot_sysid.errors import InputError
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Recording
 from robot_sysid.records.option_fields import write_torque_scale
@@ -89,6 +91,16 @@ def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command)
     )
     scaled = command.run("log wrong.csv arm.xml --torque-scale 1000")
     assert "nothing that stops an identification was found" in scaled.out
+
+
+def test_remedies_keep_the_units_and_columns_that_were_given():
+    error = InputError("", [("--units", "deg"), ("--columns", "rate = 5, time = t")])
+    words = ["log.csv", "arm.xml", "--units", "ms", "--columns", "rate = 5"]
+    values = {"units": "ms", "columns": "rate = 5"}
+    assert [*remedies(error, "log", words, values)] == [
+        "robot-sysid log log.csv arm.xml --columns 'rate = 5' --units ms,deg",
+        "robot-sysid log log.csv arm.xml --units ms --columns 'rate = 5, time = t'",
+    ]
 
 
 def test_degrees_end_with_the_commands_that_declare_the_unit(command):

@@ -27,9 +27,10 @@ def recognise(
 ) -> ColumnMap:
     choices = choices or column_map.ColumnChoices()
     robot = arm_of(joints, is_slide=is_slide)
-    return column_map.recognise_columns(
-        titles.split(","), robot, choices, first_row, currents=False, commanded=False
+    finder = column_map.column_finder(
+        titles.split(","), robot, choices, currents=False, commanded=False
     )
+    return finder.find_all(first_row)
 
 
 def where(columns: ColumnMap) -> tuple[list[int], list[int]]:
@@ -301,9 +302,10 @@ def test_a_pattern_or_a_range_stands_for_the_columns_of_all_joints(
     # A title may hold a comma, which separates titles in this test.
     choices = column_map.read_columns(line, JOINTS)
     texts = [title.replace(";", ",") for title in titles.split(",")]
-    columns = column_map.recognise_columns(
-        texts, arm_of(JOINTS), choices, (), currents=False, commanded=False
+    finder = column_map.column_finder(
+        texts, arm_of(JOINTS), choices, currents=False, commanded=False
     )
+    columns = finder.find_all(())
     assert where(columns) == (expected, [4, 5, 6])
     factor = {"-": -2.0, "0": 0.5}.get(line.partition("= ")[2][0], 1.0)
     assert factors(columns.position)[0] == factor
