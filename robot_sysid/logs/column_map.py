@@ -200,6 +200,7 @@ def column_finder(
     titles: Sequence[str],
     robot: RobotModel,
     choices: ColumnChoices,
+    first_row: Sequence[str],
     currents: bool,
     commanded: bool,
 ) -> ColumnFinder:
@@ -209,6 +210,7 @@ def column_finder(
         titles: header cells; "#1", "#2", ... where the file has no header.
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
+        first_row: the first row of data as text (it may hold joint names, as ROS logs do).
         currents: whether columns of motor currents are read in place of torques.
         commanded: whether columns of commanded positions are read in place of torques.
     """
@@ -217,7 +219,7 @@ def column_finder(
     quantities = [title.quantity_beside_name for title in read_titles]
     if currents and quantities.count("current") >= robot.n_joints:
         driven = "current"
-    return ColumnFinder(read_titles, robot, choices, driven)
+    return ColumnFinder(read_titles, robot, choices, driven, first_row)
 
 
 @dataclass(frozen=True)
@@ -229,12 +231,14 @@ class ColumnFinder:
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
         driven: the quantity that is needed beside positions, "torque", "current" or "command".
+        first_row: of the log, as text.
     """
 
     titles: Sequence[Title]
     robot: RobotModel
     choices: ColumnChoices
     driven: str
+    first_row: Sequence[str]
     _pattern_notes: list[str] = field(default_factory=list)
 
     @property
@@ -274,25 +278,21 @@ class ColumnFinder:
             zeros[at] = joint_values(parse_numbers(value), len(zeros[at]), "zero")
         return zeros
 
-    def recognise(self, quantity: str, first_row: Sequence[str]) -> tuple[Column, ...]:
-        """Return the columns of a quantity, or of the time, by declarations or titles; () for none.
-
-        ``first_row``: see ``find_all``.
-        """
+    def recognise(self, quantity: str) -> tuple[Column, ...]:
+        """Return the columns of a quantity, or of the time, as they are found; () for none."""
         try:
             if quantity == "time":
                 return tuple(filter(None, [self.find_time()]))
             sought = ("position", quantity)
-            candidates, _ = match_joints(self.titles, self.robot, first_row, sought)
+            candidates, _ = match_joints(
+                self.titles, self.robot, self.first_row, sought
+            )
             return self._find_joints(quantity, candidates.get(quantity, ()))
         except InputError:
             return ()
 
-    def find_all(self, first_row: Sequence[str]) -> ColumnMap:
+    def find_all(self) -> ColumnMap:
         """Return the map.
-
-        Args:
-            first_row: the first row of data as text (it may hold joint names, as ROS logs do).
 
         Raises:
             UnrecognisedError: a quantity is missing, or has two candidates.
@@ -307,12 +307,12 @@ class ColumnFinder:
         needed = ("position", self.driven, *self._declared)
         try:
             candidates, joint_note = match_joints(
-                self.titles, self.robot, first_row, open_quantities
+                self.titles, self.robot, self.first_row, open_quantities
             )
         except InputError:
             open_quantities = [q for q in open_quantities if q in needed]
             candidates, joint_note = match_joints(
-                self.titles, self.robot, first_row, open_quantities
+                self.titles, self.robot, self.first_row, open_quantities
             )
         notes = [joint_note, *self._pattern_notes]
         found: dict[str, tuple[Column, ...]] = {}

@@ -160,9 +160,11 @@ def _map_columns(
         choices = choices.over(read_columns(options.columns, robot.joint_names))
     choices = choices.over(table.choices)
     currents = options.torque_constants is not None
-    finder = column_finder(table.titles, robot, choices, currents, options.commanded)
+    finder = column_finder(
+        table.titles, robot, choices, table.first_row, currents, options.commanded
+    )
     try:
-        return finder.find_all(table.first_row)
+        return finder.find_all()
     except InputError as error:
         fault = f"{path}: {error}"
         suggestion = None

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, permutations
+from itertools import chain, islice, permutations
 
 import numpy as np
 
@@ -81,7 +81,6 @@ class Suggestion:
 
     Args:
         finder: of the log's columns, with what was declared.
-        first_row: of the log, as text.
         samples: (N, C) numbers of all columns.
         groups: of columns.
 
@@ -95,14 +94,9 @@ class Suggestion:
     """
 
     def __init__(
-        self,
-        finder: ColumnFinder,
-        first_row: Sequence[str],
-        samples: Array,
-        groups: Sequence[Group],
+        self, finder: ColumnFinder, samples: Array, groups: Sequence[Group]
     ) -> None:
         self.finder = finder
-        self.first_row = first_row
         self.samples = samples
         self.groups = groups
         self.entries: dict[str, str] = {}
@@ -118,7 +112,7 @@ class Suggestion:
         if finder.choices.rate:
             self.clock /= finder.choices.rate
             return
-        indices = [column.index for column in finder.recognise("time", self.first_row)]
+        indices = [column.index for column in finder.recognise("time")]
         if not indices:
             grouped = {*chain.from_iterable(group.columns for group in self.groups)}
             steady = [k for k in _steady_columns(self.samples) if k not in grouped]
@@ -153,7 +147,7 @@ class Suggestion:
             ratio = _derivative_ratio(group.samples, other.samples, self.clock)
             if ratio is not None:
                 ratios[group.text, other.text] = ratio
-        found = self.finder.recognise("position", self.first_row)
+        found = self.finder.recognise("position")
         if found:
             samples = self.samples[:, [column.index for column in found]]
             zeros = [column.zero for column in found]
@@ -222,7 +216,7 @@ class Suggestion:
     def find_driven(self) -> None:
         """Find torques, or commanded positions of servos."""
         driven = self.finder.driven
-        if self.finder.recognise(driven, self.first_row):
+        if self.finder.recognise(driven):
             return
         is_torque = driven == "torque"
         quantities = [driven, "current", "commanded"] if is_torque else [driven]
@@ -281,7 +275,7 @@ def suggest_columns(table: LogTable, finder: ColumnFinder) -> Suggestion | None:
     grouped = {*chain.from_iterable(group.columns for group in groups)}
     others = [t for k, t in enumerate(finder.texts) if k not in grouped]
     listed = ", ".join([*map(str, groups), *others])
-    suggestion = Suggestion(finder, table.first_row, samples, groups)
+    suggestion = Suggestion(finder, samples, groups)
     suggestion.reasons.append(f"its columns are {listed}")
     suggestion.find_time()
     suggestion.find_motion()
@@ -293,20 +287,15 @@ def suggest_columns(table: LogTable, finder: ColumnFinder) -> Suggestion | None:
 
 def _read_samples(table: LogTable) -> Array:
     """Return the numbers (N, C) of the first rows of a log, NaN where a column is text."""
-    most = 50_000
     columns = [*range(len(table.titles))]
     if table.first_row:
         columns = [k for k in columns if _NUMBER.fullmatch(table.first_row[k])]
-    chunks = []
-    count = 0
-    for block in table.rows(columns):
-        cells = np.full((len(block.cells), len(table.titles)), np.nan)
-        cells[:, columns] = np.where(np.isfinite(block.cells), block.cells, np.nan)
-        chunks.append(cells)
-        count += len(cells)
-        if count >= most:
-            break
-    return np.concatenate(chunks)
+    # 50 000 rows, or 5 million characters.
+    blocks = islice(table.rows(columns), 5)
+    cells = np.concatenate([block.cells for block in blocks])
+    samples = np.full((len(cells), len(table.titles)), np.nan)
+    samples[:, columns] = np.where(np.isfinite(cells), cells, np.nan)
+    return samples
 
 
 def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:

@@ -33,9 +33,9 @@ CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.text]
 def columns_of(titles, path):
     choices = read_columns(path, NAMES)
     finder = column_finder(
-        ["time", *titles], ROBOT, choices, currents=False, commanded=False
+        ["time", *titles], ROBOT, choices, (), currents=False, commanded=False
     )
-    return finder.find_all(())
+    return finder.find_all()
 
 
 def refusal(

@@ -28,9 +28,9 @@ def recognise(
     choices = choices or column_map.ColumnChoices()
     robot = arm_of(joints, is_slide=is_slide)
     finder = column_map.column_finder(
-        titles.split(","), robot, choices, currents=False, commanded=False
+        titles.split(","), robot, choices, first_row, currents=False, commanded=False
     )
-    return finder.find_all(first_row)
+    return finder.find_all()
 
 
 def where(columns: ColumnMap) -> tuple[list[int], list[int]]:
@@ -303,9 +303,9 @@ def test_a_pattern_or_a_range_stands_for_the_columns_of_all_joints(
     choices = column_map.read_columns(line, JOINTS)
     texts = [title.replace(";", ",") for title in titles.split(",")]
     finder = column_map.column_finder(
-        texts, arm_of(JOINTS), choices, currents=False, commanded=False
+        texts, arm_of(JOINTS), choices, (), currents=False, commanded=False
     )
-    columns = finder.find_all(())
+    columns = finder.find_all()
     assert where(columns) == (expected, [4, 5, 6])
     factor = {"-": -2.0, "0": 0.5}.get(line.partition("= ")[2][0], 1.0)
     assert factors(columns.position)[0] == factor

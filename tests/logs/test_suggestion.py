@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from rigs import arms
 from rigs.command_line import OUT, CommandLine
-from rigs.log_files import write
+from rigs.log_files import JOINTS, arm_of, limits, motion, write
 from rigs.refusals import refused
 from rigs.wrong_arms import truth_of
 from robot_sysid.errors import InputError
@@ -178,6 +179,18 @@ def test_what_was_declared_stays_in_the_line(truth, tmp_path):
     assert line == "position = w*, units = deg, ms, time = zeit, torque = m*_torque_x"
     with in_python(), refused(r'give columns="position = w\*, units'):
         open_log(truth.robot, path, LogOptions(columns="position = w*, units = deg"))
+
+
+def test_slides_have_units_of_their_own(tmp_path):
+    robot = arm_of(JOINTS, limits(1.0), (False, True, False))
+    log = motion()
+    shown = replace(log, q=log.q * np.degrees([1.0, np.radians(1e3), 1.0]))
+    columns = {"time": "t", "x{}_pos_y": "q", "tau{}": "tau"}
+    path = write_twin(tmp_path / "log.csv", shown, columns)
+    _, line = suggested(robot, path)
+    assert line == "position = x*_pos_y, units = deg, mm"
+    found = open_log(robot, path, LogOptions(columns=line))
+    np.testing.assert_allclose(found.q, log.q, atol=1e-12)
 
 
 def test_currents_come_with_their_constants(truth, tmp_path):
