@@ -25,6 +25,7 @@ TX40 = DATA / "tx40"
 TIAGO = DATA / "tiago"
 UR10E = DATA / "ur10e_payload"
 AIRBOT = DATA / "published" / "airbot"
+AR5 = DATA / "published" / "ar5"
 
 pytestmark = pytest.mark.skipif(
     not DATA.exists(), reason="the logs of real arms are not here"
@@ -208,6 +209,24 @@ def test_tiagos_efforts_are_named_with_the_command_that_weighs_their_constants(
     scales = words[words.index("--torque-scale") + 1].split(",")
     for joint, constant in ((2, 13.6), (3, 8.7), (4, 8.7)):
         assert 0.7 < float(scales[joint]) * constant < 1.4
+
+
+@pytest.mark.slow
+def test_ar5_at_its_wall_is_identified_with_the_command_that_is_printed(
+    tmp_path, capsys
+):
+    """Its x axis points down, within a degree or two; its tool's point weighs nothing."""
+    words = ["identify", str(AR5 / "ar5.urdf"), str(AR5 / "real.csv")]
+    words += ["--output-dir", str(tmp_path)]
+    assert main(words) == 2
+    _, *command = shlex.split(capsys.readouterr().err.splitlines()[-1])
+    assert command == [*words, "--gravity", "1", "0", "0"]
+    assert main(command) == 0
+    params = json.loads((tmp_path / "params.json").read_text())
+    before, after = relative_errors(params["file"])
+    assert before > 0.05 and after < 0.015
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "updated_model.xml"))
+    assert model.opt.gravity[0] > 9.8
 
 
 def airbot(run):
