@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29103,
-    "robot_sysid/logs": 25354,
+    "robot_sysid/logs": 25238,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8557,
     "robot_sysid/motion": 14850,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10867,
-    "tests": 222090,
+    "tests": 222536,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -19,7 +19,7 @@ from typing import Any
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.states import named_rows, names_in, states_table
+from robot_sysid.logs.states import is_names, named_rows, states_table
 from robot_sysid.logs.table import LogTable, import_optional
 from robot_sysid.logs.titles import read_title
 from robot_sysid.wording import option_name
@@ -44,8 +44,9 @@ def json_table(path: Path, *_: Any) -> LogTable:
         layout = "JSON, an object of arrays"
         length = max(map(len, lists))
         states = [_instant(content, index, length) for index in range(length)]
-    elif isinstance(content, dict) and (names := names_in(content)):
-        states = [{"name": names, **state} for state in states]
+    elif isinstance(content, dict):
+        names = {key: value for key, value in content.items() if is_names(value)}
+        states = [{**names, **state} for state in states]
     return states_table(path, layout, states, "state")
 
 

@@ -34,11 +34,12 @@ def join_halves(
     Raises:
         InputError: the numbers of files differ, or two of them cannot be joined.
     """
+    n_joints = len(joint_names)
     positions = []
     torques = []
     for table in tables:
-        has_position = bool(_columns(table, joint_names, {"position"}))
-        has_torque = bool(_columns(table, joint_names, driven))
+        has_position = len(_columns(table, joint_names, {"position"})) >= n_joints
+        has_torque = len(_columns(table, joint_names, driven)) >= n_joints
         if has_position and not has_torque:
             positions.append(table)
         elif has_torque and not has_position:
@@ -157,7 +158,8 @@ def _interpolate(
     from scipy.interpolate import CubicSpline
 
     q, tau = (_increasing(cells) for cells in (q, tau))
-    start, end = max(q[0, 0], tau[0, 0]), min(q[-1, 0], tau[-1, 0])
+    start = max(q[0, 0], tau[0, 0])
+    end = min(q[-1, 0], tau[-1, 0])
     lasting = [f"from {cells[0, 0]:.6g} to {cells[-1, 0]:.6g}" for cells in (q, tau)]
     if end - start < 0.5 * min(np.ptp(q[:, 0]), np.ptp(tau[:, 0])):
         raise InputError(

@@ -219,7 +219,7 @@ _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     ),
     rb"PK\x03\x04": ("a NumPy .npz file", arrays.npz_table),
     rb"PAR1": ("a Parquet file", arrays.parquet_table),
-    rb"(\xef\xbb\xbf)?\s*[\[{]": _JSON,
+    rb"(\xef\xbb\xbf)?\s*[\[{]\s*[\[{\"\d\]}-]": _JSON,
     # What ros2 topic echo prints, behind warnings.
     rb"(.*\n)?header:\s+(seq|stamp):": (
         "text of ros2 topic echo",

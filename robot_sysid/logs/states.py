@@ -21,8 +21,6 @@ from robot_sysid.logs.arrays import array_blocks
 from robot_sysid.logs.table import ROWS, LogTable
 from robot_sysid.logs.text import parse_cell
 
-# Keys of lists of names, of joints or of what is measured of them.
-_NAMES = re.compile(r".*(name|joint|motor|dof)s?", re.IGNORECASE)
 _SECONDS = frozenset({"sec", "secs", "seconds"})
 _NANOSECONDS = frozenset({"nanosec", "nsec", "nsecs", "nanos"})
 
@@ -62,7 +60,10 @@ def _numbers_in_mapping(
         fraction = 1e-9 * int(value[min(nanoseconds)])
         yield title or "time", int(value[min(seconds)]) + fraction
         value = {key: value[key] for key in value.keys() - seconds - nanoseconds}
-    names = names_in(value)
+    lengths = [len(content) for content in value.values() if isinstance(content, list)]
+    lists = filter(is_names, value.values())
+    # The names of what other lists hold.
+    names: list[str] = next((n for n in lists if lengths.count(len(n)) > 1), [])
     for key, content in value.items():
         if not (names and isinstance(content, list)):
             yield from numbers_in(content, f"{prefix}{key}")
@@ -72,17 +73,13 @@ def _numbers_in_mapping(
                 yield from numbers_in(item, f"{prefix}{name}/{key}")
 
 
-def names_in(value: Mapping[str, Any]) -> list[str]:
-    """Return the names that a mapping lists for the elements of its other lists; [] for none."""
-    for key, content in value.items():
-        is_list = isinstance(content, list) and content and _NAMES.fullmatch(str(key))
-        if is_list and not any(map(_is_number, content)):
-            return content
-    return []
+def is_names(value: Any) -> bool:
+    """Return whether a value is a list of texts that are no numbers."""
+    return isinstance(value, list) and bool(value) and not any(map(is_number, value))
 
 
-def _is_number(value: Any) -> bool:
-    """Return whether a value is no name."""
+def is_number(value: Any) -> bool:
+    """Return whether a value is a number, a date, or a text of one."""
     if not isinstance(value, str):
         return True
     with contextlib.suppress(ValueError):

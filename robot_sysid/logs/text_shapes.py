@@ -7,32 +7,43 @@ prints it in CSV; and a row may hold one signal or one joint of an instant (long
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from robot_sysid.errors import InputError
-from robot_sysid.logs.arrays import array_blocks
-from robot_sysid.logs.states import named_rows, states_table
+from robot_sysid.logs.states import (
+    is_names,
+    is_number,
+    list_in_cell,
+    named_rows,
+    states_table,
+)
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.text import Dialect, parse_cell, plain_table, read_dialect
 from robot_sysid.logs.titles import read_title
 
 
-def text_table(path: Path, *_: Any) -> LogTable:
-    """Return a text file as a table; lists in cells become columns, rows of signals are pivoted."""
+def text_table(path: Path, joint_names: Sequence[str], *_: Any) -> LogTable:
+    """Return a text file as a table; lists in cells become columns, rows of signals are pivoted.
+
+    ``joint_names``: (n,) of the arm.
+    """
     dialect = read_dialect(path)
     titles = dialect.titles
-    if any(cell.startswith(("[", "(")) for cell in dialect.first_row):
+    cells = map(list_in_cell, dialect.first_row)
+    # A list of names alone is read with the numbers of the titles.
+    if any(isinstance(cell, list) and not is_names(cell) for cell in cells):
         states = named_rows(path, titles, dialect.rows())
         return states_table(path, "lists of numbers in cells", states)
     if titles[0] == "#1" and _echo_state(dialect.first_row):
         messages = map(_echo_state, dialect.rows())
         return states_table(path, "ros2 topic echo in CSV", messages, "message")
-    return _long_table(dialect) or plain_table(dialect)
+    quantities = [read_title(title).quantity_beside_name for title in titles]
+    if quantities.count("position") < len(joint_names):
+        return _long_table(dialect) or plain_table(dialect)
+    return plain_table(dialect)
 
 
 def _echo_state(cells: Sequence[str]) -> Mapping[str, Any]:
@@ -66,7 +77,7 @@ _VALUE = re.compile(r"values?|data|number", re.IGNORECASE)
 def _long_table(dialect: Dialect) -> LogTable | None:
     """Return a table that has a row per signal, or per joint, and instant with a row per instant.
 
-    Rows of one instant have one time, or each has its own and signals follow each other in turn.
+    Rows of one instant have one time; or each has its own, and signals follow each other in turn.
 
     Returns:
         The table, or None where the file has another form.
@@ -81,60 +92,38 @@ def _long_table(dialect: Dialect) -> LogTable | None:
     measured = [k for k in columns if k not in (*naming, *times)]
     if not naming or len(times) != 1 or not measured:
         return None
-    names = []
-    numbers = []
-    for name, row in _long_rows(dialect, naming, [*times, *measured]):
-        names.append(name)
-        numbers.append(row)
-    keys, first_rows, codes = np.unique(names, return_index=True, return_inverse=True)
-    time, *values = np.array(numbers).T
-    instants, rows = np.unique(time, return_inverse=True)
-    counts = np.bincount(codes)
-    n_rows = len(instants)
-    stamps = []
-    if n_rows > 0.9 * len(time):
-        if np.ptp(counts) > 1 or len(keys) < 2:
-            return None
-        rows = np.zeros(len(time), int)
-        for code, count in enumerate(counts):
-            rows[codes == code] = np.arange(count)
-        n_rows = max(counts)
-        instants = np.full(n_rows, np.nan)
-        first = codes == np.argmin(first_rows)
-        instants[rows[first]] = time[first]
-        values.append(time)
-        stamps = ["time"]
-    cells = np.full((n_rows, len(keys), len(values)), np.nan)
-    for index, column in enumerate(values):
-        cells[rows, codes, index] = column
-    repeated = len(time) - len({*zip(rows.tolist(), codes.tolist())})
-    if repeated > 0.05 * len(time):
+    time_column = times[0]
+    rows = []
+    for cells in dialect.rows():
+        if len(cells) == len(titles) and is_number(cells[time_column]):
+            rows.append(("/".join(cells[k] for k in naming), cells))
+    counts = Counter(name for name, _ in rows)
+    instants = {cells[time_column] for _, cells in rows}
+    # Nearly all times are there once.
+    in_turn = len(instants) > 0.9 * len(rows)
+    if in_turn and (len(counts) < 2 or max(counts.values()) > min(counts.values()) + 1):
+        return None
+    is_value = len(measured) == 1 and _VALUE.fullmatch(titles[measured[0]])
+    states: dict[Any, dict[str, str]] = {}
+    read: Counter[str] = Counter()
+    repeated = 0
+    for name, cells in rows:
+        time = cells[time_column]
+        state = states.setdefault(read[name] if in_turn else time, {})
+        read[name] += 1
+        row = {name if is_value else f"{name}/{titles[k]}": cells[k] for k in measured}
+        repeated += row.keys() <= state.keys()
+        state.setdefault(titles[time_column], time)
+        state.update(row)
+        if in_turn:
+            state[f"{name}/time"] = time
+    if repeated > 0.05 * len(rows):
         raise InputError(
             f"{dialect.path} has a row per signal, and {repeated} rows repeat the time and name of "
             "another one; give each recording a file of its own"
         )
-    endings = [f"/{titles[k]}" for k in measured] + [f"/{word}" for word in stamps]
-    if len(measured) == 1 and _VALUE.fullmatch(titles[measured[0]]):
-        endings[0] = ""
-    columns_of = [f"{key}{ending}" for key in keys.tolist() for ending in endings]
-    blocks = partial(array_blocks, [instants, cells.reshape(n_rows, -1)])
-    layout = f"a row per signal and instant, {len(keys)} signals"
-    return LogTable(dialect.path, layout, (titles[times[0]], *columns_of), blocks)
-
-
-def _long_rows(
-    dialect: Dialect, naming: Sequence[int], columns: Sequence[int]
-) -> Iterator[tuple[str, list[float]]]:
-    """Yield (name, numbers in these columns) of each row; what is no number is NaN."""
-    for cells in dialect.rows():
-        if len(cells) == len(dialect.titles):
-            name = "/".join(cells[k] for k in naming)
-            yield name, [_number(cells[k]) for k in columns]
-
-
-def _number(cell: str) -> float:
-    """Return the number in a cell, or NaN."""
-    try:
-        return parse_cell(cell)
-    except ValueError:
-        return np.nan
+    layout = f"a row per signal and instant, {len(counts)} signals"
+    ordered = sorted(
+        states.values(), key=lambda state: parse_cell(state[titles[time_column]])
+    )
+    return states_table(dialect.path, layout, ordered)

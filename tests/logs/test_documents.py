@@ -39,7 +39,7 @@ def test_a_line_of_json_that_is_cut_off_is_left_out_and_said(tmp_path):
         (json.dumps(STATES[:1]), "only 1 usable row"),
         (json.dumps(STATES[0]), "one position column"),
         (json.dumps(STATES)[:-30], "as JSON: .*damaged"),
-        ("[a remark\non the log\n", "as JSON: .*damaged"),
+        ("[1, a remark\non the log\n", "as JSON: .*damaged"),
     ],
 )
 def test_json_without_samples_is_refused(tmp_path, text, fault):

@@ -98,6 +98,16 @@ def test_halves_of_other_times_or_rates_are_refused(tmp_path, time, rows, fault)
         read(paths)
 
 
+def test_a_gripper_makes_no_whole_log_of_a_half(tmp_path):
+    paths = halves(tmp_path, DATA.time, DATA.time)
+    for path, title in zip(paths, ("gripper_force", "gripper_position")):
+        first, *lines = path.read_text().splitlines()
+        text = "\n".join([f"{first},{title}", *(f"{line},0.1" for line in lines)])
+        path.write_text(text + "\n")
+    (log,) = read(paths)
+    assert_samples(without_speed(DATA), log)
+
+
 def test_units_of_time_in_titles_are_those_of_each_file(tmp_path):
     paths = halves(tmp_path, DATA.time, 1e3 * DATA.time)
     text = paths[1].read_text().replace("time,", "time [ms],")
@@ -109,7 +119,7 @@ def test_units_of_time_in_titles_are_those_of_each_file(tmp_path):
 def test_several_halves_are_paired_in_their_order_beside_whole_logs(tmp_path):
     other = DATA[:500]
     first = halves(tmp_path, DATA.time, DATA.time)
-    second = halves(tmp_path, other.time, other.time, other.q, other.tau, "2")
+    second = halves(tmp_path, other.time, other.time, other.q, -other.tau, "2")
     whole = write_half(
         tmp_path, "log.csv", DATA.time, np.hstack((DATA.q, DATA.tau)), Q + TAU
     )
@@ -119,6 +129,7 @@ def test_several_halves_are_paired_in_their_order_beside_whole_logs(tmp_path):
     ):
         logs = read(paths)
         assert [len(log) for log in logs] == [600, 500, 600]
+        np.testing.assert_array_equal(logs[1].tau, -other.tau)
     with refused("their numbers differ: .*q.csv, .*q2.csv; .*tau.csv"):
         read([first[0], second[0], first[1]])
 
