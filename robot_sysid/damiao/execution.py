@@ -379,7 +379,8 @@ def run(
     if activity is None:
         reference = trajectory_reference(plan.trajectory, plan.settings.speed)
         first = reference(0.0)
-        activity = Activity("playing", lambda _: reference, plan.duration, first)
+        announcement = f"playing ({plan.duration:.1f} s)"
+        activity = Activity(announcement, lambda _: reference, plan.duration, first)
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     path = plan.recording.record

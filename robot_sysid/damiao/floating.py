@@ -24,12 +24,14 @@ from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array, Limits, Motion, RobotModel
 from robot_sysid.records.messages import percent
 
+SETTLING = 3.0
+"""Longest time for which the arm is held until it stands still [s]."""
 FADE = 1.0
-"""Time in which the stiffness is taken away [s]."""
+"""Time in which the stiffness is then taken away [s]."""
 
 
 class Floating(Follower):
-    """A reference that follows the joints, with less and less stiffness, and then with none.
+    """A reference that stands until the arm does, and then follows it with less and less stiffness.
 
     It raises HardwareAbort for a joint that moves farther than ``max_tracking_error``, or faster
     than ``approach_speed``, as commands may not follow any faster.
@@ -39,10 +41,12 @@ class Floating(Follower):
         settings: of the run.
         carries: returns the torque (n,) that carries the arm in a pose (n,) [N m].
         limits: of commanded positions.
+        lifetime: time for which the arm floats without stiffness [s].
 
     Attributes:
-        samples: time since the beginning [s], and position, velocity and commanded torque (3, n) of
-            each cycle [rad, rad/s, N m].
+        duration: longest time that all takes [s].
+        samples: time since the stiffness began to fade [s], and position, velocity and commanded
+            torque (3, n) of each cycle since then [rad, rad/s, N m].
     """
 
     def __init__(
@@ -51,60 +55,88 @@ class Floating(Follower):
         settings: PlaySettings,
         carries: Callable[[Array], Array],
         limits: Limits,
+        lifetime: float,
     ) -> None:
         self._joints = joints
         self._settings = settings
         self._carries = carries
         self._limits = limits
+        self.duration = SETTLING + FADE + lifetime
+        self._lifetime = lifetime
         self.samples: list[tuple[float, Array]] = []
         # Number of cycles in a row in which each joint was too fast.
         self._fast = np.zeros(len(joints), int)
         self._time = 0.0
+        # Time at which a joint last moved, and at which the stiffness began to fade [s].
+        self._moved_at = 0.0
+        self._began_at = np.inf
 
     def begin(self, standing: Reference) -> Floating:
         """Take the reference in which the arm stands, and return this reference."""
         self._limits = self._limits.including(standing.position)
         self._position = standing.position
-        # Last believed and first positions of the joints, and the reference's distance from these.
-        self._q = self._first = standing.position
-        self._offset = np.zeros_like(self._q)
+        # Last believed positions of the joints, their means over the last quarter of a second, and
+        # those from which they float (n,) each [rad].
+        self._q = self._mean = self._first = standing.position
         return self
 
     def follow(self, q: Array, qd: Array, torque: Array) -> None:
         """Take positions, velocities and torques of a cycle, see ``Follower``."""
         self._q = np.where(np.isfinite(q), q, self._q)
-        if not self.samples:
-            self._first = self._q
-            self._offset = self._position - self._q
-        self.samples.append((self._time, np.stack([q, qd, torque])))
+        if self._time < self._began_at:
+            self._settle()
+            return
+        self.samples.append((self._time - self._began_at, np.stack([q, qd, torque])))
         is_fast = np.abs(qd) > self._settings.approach_speed
         self._fast = np.where(is_fast, self._fast + 1, 0)
 
-    def __call__(self, time: float) -> Reference:
-        """Return the reference at ``time`` [s] of floating; HardwareAbort for a joint that falls.
+    def _settle(self) -> None:
+        """Let the stiffness fade if the arm has stood still for a quarter of a second."""
+        patience = 0.25
+        share = min(self._settings.period / patience, 1.0)
+        self._mean = self._mean + share * (self._q - self._mean)
+        # Some steps of a position.
+        if np.any(np.abs(self._q - self._mean) > 1e-3):
+            self._moved_at = self._time
+        if self._time > min(self._moved_at + patience, SETTLING):
+            self._began_at = self._time
+            self._first = self._q
+            # With it goes the mean torque that stiffness adds, not that of the arm's last swing.
+            self._offset = self._position - self._mean
 
-        A single velocity may be a damaged one.
-        """
-        share = 0.5 + 0.5 * np.cos(np.pi * min(time / FADE, 1.0))
-        # Less would be rounded to nothing.
-        share = share if share > 0.01 else 0.0
-        self.stiffness = self.damping = share
-        wanted = self._q + share * self._offset
+    @property
+    def is_done(self) -> bool:
+        """Whether the arm has floated for its time."""
+        return self._time >= self._began_at + FADE + self._lifetime
+
+    def __call__(self, time: float) -> Reference:
+        """Return the reference at ``time`` [s]; HardwareAbort for a joint that falls."""
         reach = self._settings.approach_speed * (time - self._time)
         self._time = time
-        position = np.clip(wanted, self._position - reach, self._position + reach)
-        position = np.clip(position, self._limits.lower, self._limits.upper)
-        self._position = position
+        if time > self._began_at:
+            share = min((time - self._began_at) / FADE, 1.0)
+            stiffness = 0.5 + 0.5 * np.cos(np.pi * share)
+            # Less would be rounded to nothing.
+            self.stiffness = self.damping = stiffness if stiffness > 0.01 else 0.0
+            position = self._q + self.stiffness * self._offset
+            position = np.clip(position, self._position - reach, self._position + reach)
+            self._position = np.clip(position, self._limits.lower, self._limits.upper)
+            self._catch()
+        still = np.zeros_like(self._q)
+        return Reference(self._position, still, self._carries(self._q))
+
+    def _catch(self) -> None:
+        """Raise HardwareAbort for the first joint that is too far or, for two cycles, too fast."""
         moved = self._q - self._first
-        leaves = np.abs(moved) > self._settings.max_tracking_error
-        for j in np.flatnonzero(leaves | (self._fast > 1)).tolist():
-            speed = self.samples[-1][1][1, j]
+        is_far = np.abs(moved) > self._settings.max_tracking_error
+        # A single velocity may be a damaged one.
+        for j in np.flatnonzero(is_far | (self._fast > 1)).tolist():
+            time, signals = self.samples[-1]
             raise HardwareAbort(
                 f"{self._joints[j].label} is not carried by the model's gravity: it has moved by "
                 f"{np.degrees(moved[j]):.1f} deg in {time:.1f} s, at last by "
-                f"{np.degrees(speed):.1f} deg/s, and was caught"
+                f"{np.degrees(signals[1, j]):.1f} deg/s, and was caught"
             )
-        return Reference(position, np.zeros_like(position), self._carries(self._q))
 
 
 @dataclass(frozen=True)
@@ -161,8 +193,8 @@ class Drift:
         if self.friction[j] == 0.0:
             return f"its gravity is at least {text}, which has no friction"
         return (
-            f"its gravity is about {text}; {self.friction[j]:.2g} N·m of this is its friction at "
-            "this speed, by the model"
+            f"its gravity is about {text}; by the model its friction takes {self.friction[j]:.2g} "
+            "N·m at this speed"
         )
 
 

@@ -218,7 +218,7 @@ class Player:
             self._announce(f"moving to the first point ({approach_time:.1f} s)")
             self._phase(approach, approach_time)
             self._hold_and_compare(first)
-        self._announce(f"{activity.name} ({activity.duration:.1f} s)")
+        self._announce(activity.announcement)
         reference = activity.begin(standing)
         self._phase(reference, activity.duration, record=True)
         self._announce("coming to rest")

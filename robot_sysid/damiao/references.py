@@ -113,13 +113,13 @@ class Activity:
     """What a run does with an arm that it holds.
 
     Attributes:
-        name: what is announced, such as "playing".
+        announcement: what is said when it begins.
         begin: returns the reference from the one in which the arm stands.
-        duration: of it [s].
+        duration: longest time that it takes [s].
         first: reference to which the arm is moved before; None where it stays.
     """
 
-    name: str
+    announcement: str
     begin: Callable[[Reference], ReferenceFunction]
     duration: float
     first: Reference | None = None

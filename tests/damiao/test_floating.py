@@ -64,7 +64,7 @@ class FloatTest:
 def float_test(capsys, monkeypatch, tmp_path, heard):
     """Runs a float test of an arm by a model; ``cause`` happens when it has floated for a while."""
 
-    def run(truth, model, options=("--float",), cause=None, after=1.3):
+    def run(truth, model, options=("--float",), cause=None):
         mechanism = ArmStepper(arms.robot_of(truth), POSE, 2e-3)
         joints = damiao_joints(["DM4310"] * 2, 2)
         bus = MotorBus(joints, mechanism, watchdog=0.15, echo=True)
@@ -78,24 +78,26 @@ def float_test(capsys, monkeypatch, tmp_path, heard):
             stage(self, *messages)
 
         monkeypatch.setattr(Console, "stage", print_lines)
-        floating = []
+        bus.arm.takes_whole_steps = True
+        tests = []
         starts = [0.0]
-        begin = Floating.begin
+        settle = Floating._settle
 
-        def begin_with_cause(self, standing):
-            floating.append(self)
-            starts.append(bus.clock.now())
-            if cause is not None:
-                bus.at(after, lambda: cause(bus))
-            return begin(self, standing)
+        def settle_and_cause(self):
+            settle(self)
+            if self._began_at < np.inf:
+                tests.append(self)
+                starts.append(bus.clock.now())
+                if cause is not None:
+                    bus.at(1.3, lambda: cause(bus))
 
-        monkeypatch.setattr(Floating, "begin", begin_with_cause)
+        monkeypatch.setattr(Floating, "_settle", settle_and_cause)
         path = tmp_path / "model.xml"
         path.write_text(model)
         words = ("hold", USUAL, *options, "--model", path)
         printed = run_motors(capsys, *words)
         assert bus.states() == [DISABLED] * 2 or cause is not None
-        samples = floating[0].samples if floating else []
+        samples = tests[0].samples if tests else []
         return FloatTest(*printed, bus, samples, starts[-1])
 
     return run
@@ -193,10 +195,12 @@ def test_no_feedback_leads_commands_out_of_their_bounds(steps):
     """Of position and speed; or the joint that moves so is named."""
     joints = damiao_joints(["DM4310"], 1)
     limits = Limits(np.array([-0.05]), np.array([0.05]))
-    floating = Floating(joints, PlaySettings(), np.zeros_like, limits)
+    floating = Floating(joints, PlaySettings(rate=250.0), np.zeros_like, limits, 5.0)
     zero = np.zeros(1)
     last = floating.begin(Reference(zero, zero, zero))(0.0).position
-    time = 0.0
+    time = 0.3
+    floating(time)
+    floating.follow(zero, zero, zero)
     for duration, angle in steps:
         floating.follow(np.array([angle]), zero, zero)
         time += duration
@@ -204,9 +208,10 @@ def test_no_feedback_leads_commands_out_of_their_bounds(steps):
         assert abs(position[0]) <= 0.05
         assert abs(position - last)[0] <= 0.2 * duration + 1e-12
         last = position
+    assert len(floating.samples) == len(steps)
     floating.follow(np.array([0.31]), zero, zero)
     with pytest.raises(HardwareAbort, match="motor 1 is not carried"):
-        floating(time)
+        floating(time + 0.01)
 
 
 def test_a_simulated_arm_may_be_another_one(capsys, monkeypatch, arm_file):

@@ -8,7 +8,7 @@ import numpy as np
 
 from robot_sysid.commands.motors.session import Session, run_checked
 from robot_sysid.damiao.bus import inspect_bus
-from robot_sysid.damiao.floating import FADE, Floating, measure_drift
+from robot_sysid.damiao.floating import Floating, measure_drift
 from robot_sysid.damiao.references import Activity, hold_reference
 from robot_sysid.damiao.settings import HoldOptions, Plan
 from robot_sysid.errors import HardwareAbort
@@ -37,11 +37,13 @@ def hold(session: Session) -> int:
             plan.settings,
             session.holding(plan).torque,
             plan.command_limits,
+            options.lifetime,
         )
-        activity = Activity("holding", hold_reference, options.lifetime)
+        text = f"({options.lifetime:.1f} s)"
+        activity = Activity(f"holding {text}", hold_reference, options.lifetime)
         if options.floats:
-            time = FADE + options.lifetime
-            activity = Activity("floating", floating.begin, time)
+            text = f"taking the stiffness away, then floating {text}"
+            activity = Activity(text, floating.begin, floating.duration)
         checks = session.checks(plan)
         is_real = not options.simulate
         try:
