@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3889,
     "robot_sysid/commands": 10619,
-    "robot_sysid/damiao": 32345,
+    "robot_sysid/damiao": 32361,
     "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29103,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10867,
-    "tests": 222576,
+    "tests": 222604,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

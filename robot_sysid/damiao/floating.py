@@ -148,7 +148,7 @@ class Drift:
         end_speed: velocity (n,) at the end [rad/s]; 0 where a joint stands.
         gravity: torque (n,) that holds the arm at the end, by the model [N m].
         error: true minus modelled gravity (n,), if the model's friction is right [N m]; where a
-            joint stands, its friction is in it.
+            joint stands, what stiffness still adds, and its friction is in it.
         friction: friction (n,) at the end by the model, dry friction where a joint stands [N m].
     """
 
@@ -169,11 +169,14 @@ class Drift:
 
     def _doubt(self, j: int) -> str:
         """Return how well a joint j that stands shows its gravity."""
-        if self.friction[j] == 0.0:
+        dry = self.friction[j]
+        if dry == 0.0:
             return "how right its gravity is, is not known without its dry friction"
+        # Stiffness that had not faded yet, when another joint was caught, has held it too.
+        bound = abs(self.error[j]) + dry
         return (
-            f"its gravity is right to within its dry friction, {self.friction[j]:.2g} N·m by the "
-            "model"
+            f"its gravity is right to within {bound:.2g} N·m, if its dry friction is the model's "
+            f"{dry:.2g}"
         )
 
     def _verb(self, j: int) -> str:

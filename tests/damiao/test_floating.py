@@ -106,7 +106,11 @@ def float_test(capsys, monkeypatch, tmp_path, heard):
 def test_an_arm_whose_model_is_right_stands(float_test):
     test = float_test(arm(), arm())
     assert test.code == 0 and "Done: all joints stand" in test.out
-    assert test.out.count("its gravity is right to within its dry friction, 0.05") == 2
+    bounds = re.findall(
+        r"right to within (\S+) N·m, if its dry .* model's 0.05", test.out
+    )
+    assert np.array(bounds, float) == pytest.approx(0.05, abs=0.005)
+    assert len(bounds) == 2
     # What stiffness held beside the model's gravity is nothing.
     assert np.all(test.moved < 0.01)
 
