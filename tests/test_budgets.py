@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10867,
-    "tests": 222604,
+    "tests": 222669,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

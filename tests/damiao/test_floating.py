@@ -16,6 +16,7 @@ from rigs.command_line import run_motors
 from rigs.damiao_rig import MotorBus, fault, map_line, only_asks, with_coarse_physics
 from rigs.wrong_arms import resting_torque
 from robot_sysid.commands import Console
+from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.floating import Floating
 from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.protocol import DISABLE, DISABLED, special_frame
@@ -55,7 +56,8 @@ class FloatTest:
         motors were disabled [rad].
         """
         off = special_frame(DISABLE, 0).data
-        end = min(frame.time for frame in self.bus.wire.sent if frame.data == off)
+        times = [frame.time for frame in self.bus.wire.sent if frame.data == off]
+        end = min(times, default=np.inf)
         path = [q for t, q, _ in self.bus.arm.truth if self.since < t < end]
         return np.max(np.abs(np.array(path) - path[0]), axis=0)
 
@@ -238,6 +240,13 @@ def interrupt(bus):
     signal.raise_signal(signal.SIGINT)
 
 
+def unplug(bus):
+    def fail(*_):
+        raise LinkError("gone")
+
+    bus.bus.send = bus.bus.receive = fail
+
+
 def close_terminal(bus):
     bus.terminal_is_closed = True
 
@@ -264,6 +273,12 @@ FAULTS = {
         3,
         "motor 1 .* is not carried",
         0.2,
+    ),
+    "adapter unplugged": (
+        unplug,
+        3,
+        "gone; no confirmation .* Cut their power",
+        np.inf,
     ),
     "Ctrl-C": (interrupt, 3, "stopped by SIGINT", 0.1),
     "terminal closed": (close_terminal, 1, "or printing it failed", 0.2),
