@@ -52,6 +52,7 @@ class PublicArm:
         published: what others print of it.
         judge: the log on which the file is judged elsewhere; "" for the last fifth of its own.
         motion: beginning and end of the log's motion [s].
+        fitted: part of its own motion that makes the file that the remaining part judges.
     """
 
     name: str
@@ -59,6 +60,7 @@ class PublicArm:
     published: str
     judge: str = ""
     motion: tuple[float, float] = (0.0, np.inf)
+    fitted: float = 0.8
 
 
 UR10E = "ur10e_payload/ur10e.urdf"
@@ -99,8 +101,9 @@ ARMS = (
     PublicArm(
         "ROKAE AR5, "
         "[Dynamics_identification_Frank](https://github.com/FrankJIE09/Dynamics_identification_Frank)",
-        "robot-sysid identify published/ar5/ar5.urdf published/ar5/real.csv",
+        "robot-sysid identify published/ar5/ar5.urdf published/ar5/real.csv --gravity 1 0 0",
         "0.63 N·m on the last fifth",
+        fitted=0.7,
     ),
     PublicArm(
         "Damiao AM-D02, one joint driven, [Friction-Identification-for-Manipulators]"
@@ -117,7 +120,7 @@ def run(arm: PublicArm) -> tuple[int, str]:
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         code = run_command(shlex.split(arm.command)[1:])
-    error = re.split(r"error: .*?\.\w+: ", output.getvalue())[-1]
+    error = output.getvalue().rpartition("error: ")[2].partition(": ")[2]
     return code, re.split("[:;(]|, and", error)[0].strip()
 
 
@@ -155,19 +158,20 @@ def elsewhere(arm: PublicArm) -> str:
     values = COMMANDS[name].parse(words)[0]
     model = values.pop("path")
     logs = values.pop("loaded", None) or values.pop("measurements")
-    reading = {key: values[key] for key in ("columns", "units") if key in values}
+    reading = {"columns": values.pop("columns")} if "columns" in values else {}
     with tempfile.TemporaryDirectory() as folder:
         if arm.judge:
             result = identify(model, logs[0])
             test = read_log(arm.judge, result.robot)
         else:
-            log = read_log(logs[-1], model, **reading)
+            log = read_log(logs, model, **reading)
             begin, end = arm.motion
             end = min(end, log.time[-1])
-            middle = begin + 0.8 * (end - begin)
+            middle = begin + arm.fitted * (end - begin)
             first = cut(log, begin, middle)
             if name == "payload":
-                result = payload(model, values["empty"][0], first)
+                empty = read_log(values["empty"], model, **reading)
+                result = payload(model, cut(empty, 0.0, np.inf), first)
             else:
                 result = identify(model, first, **values)
             last = cut(log, middle, end)
