@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from robot_sysid import spatial
 from robot_sysid.estimate.rows import Rows
 from robot_sysid.mjcf.inertial import sum_theta
-from robot_sysid.model.bodies import subtree_bodies
+from robot_sysid.model.bodies import subtree_bodies, write_body
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, Recording
 from robot_sysid.solver import LastLinkTerms, exact_recording
@@ -231,19 +231,6 @@ def robot_of(xml, joint=None, max_velocity=2.0, keyframe=None):
 def composite_theta(mj_model, qpos, body_id):
     """Parameters (10,) of a body and all below it together, in its frame, at ``qpos``."""
     return sum_theta(subtree_bodies(mj_model, qpos, body_id))
-
-
-def write_body(mj_model, body, theta):
-    """Give a compiled body these inertial parameters."""
-    mass, com, inertia = spatial.com_from_theta(theta)
-    moments, axes = spatial.principal_axes(inertia)
-    # The compiler's shortcuts for bodies whose inertia lies in the body frame no longer hold.
-    mj_model.body_sameframe[body] = mj_model.body_simple[body] = 0
-    mj_model.dof_simplenum[:] = 0
-    mj_model.body_mass[body] = mass
-    mj_model.body_ipos[body] = com
-    mj_model.body_inertia[body] = moments
-    mujoco.mju_mat2Quat(mj_model.body_iquat[body], axes.ravel())
 
 
 def with_link(robot, theta):

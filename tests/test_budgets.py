@@ -24,7 +24,7 @@ BUDGETS = {
     "robot_sysid/estimate": 29103,
     "robot_sysid/logs": 25238,
     "robot_sysid/mjcf": 7074,
-    "robot_sysid/model": 8557,
+    "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
     "robot_sysid/pipeline": 7017,
     "robot_sysid/records": 10474,

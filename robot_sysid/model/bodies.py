@@ -45,6 +45,19 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
     return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
 
 
+def write_body(mj_model: Any, body_id: int, theta: Array) -> None:
+    """Give a compiled body the parameters theta (10,); ``mj_setConst`` makes the rest agree."""
+    mass, com, inertia = spatial.com_from_theta(theta)
+    moments, axes = spatial.principal_axes(inertia)
+    # The compiler's shortcuts for bodies whose inertia lies in the body frame no longer hold.
+    mj_model.body_sameframe[body_id] = mj_model.body_simple[body_id] = 0
+    mj_model.dof_simplenum[:] = 0
+    mj_model.body_mass[body_id] = mass
+    mj_model.body_ipos[body_id] = com
+    mj_model.body_inertia[body_id] = moments
+    mujoco.mju_mat2Quat(mj_model.body_iquat[body_id], axes.ravel())
+
+
 def pose_in(frame: Any, other: Any) -> tuple[Array, Array]:
     """Return rotation (3, 3) and origin (3,) [m] of a frame in another one.
 

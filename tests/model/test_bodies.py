@@ -14,10 +14,12 @@ from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.model.bodies import (
+    body_theta,
     find_flange,
     link_reach,
     touching_by_design,
     update_contacts,
+    write_body,
 )
 
 
@@ -32,6 +34,15 @@ def test_links_weigh_what_the_first_joint_moves_and_reach_to_their_centre_of_mas
     assert_array_equal(robot.links[-1].theta, robot.prior.theta)
     com = spatial.com_from_theta(robot.prior.theta)[1]
     assert link_reach(robot) >= np.linalg.norm(com)
+
+
+@pytest.mark.parametrize("name", ["coupled fingers", "home keyframe"])
+def test_a_body_has_what_was_written_into_it(name):
+    model = arms.robot_of(arms.MODELS[name]).mj_model
+    for body in range(1, model.nbody):
+        theta = arms.random_theta(np.random.default_rng(body))
+        write_body(model, body, theta)
+        assert_allclose(body_theta(model, body), theta, rtol=1e-12, atol=1e-14)
 
 
 TIP = (
