@@ -32,7 +32,7 @@ BUDGETS = {
     "robot_sysid/results": 10400,
     "robot_sysid/servo": 4800,
     "robot_sysid/signals": 5300,
-    "robot_sysid/simulation": 3465,
+    "robot_sysid/simulation": 3618,
     "robot_sysid": 10867,
     "tests": 222669,
 }

@@ -8,7 +8,7 @@ half a step before the positions, which makes it second order, without a delay o
 a servo is at its limit. ``mujoco.rollout`` does the steps on all processors where the installed
 release has it with several models at a time; older ones step in Python.
 
-An arm behind position servos gets commanded positions:
+Played are the torques of a log, or the commands of an arm behind position servos, whose torque is
 
     tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
 
@@ -156,6 +156,21 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
 
 
 @dataclass(frozen=True)
+class TorqueWindow:
+    """Start of a rollout under torques, and these torques.
+
+    Attributes:
+        q: (n,) positions at the start [rad or m].
+        qd: (n,) velocities half a step before the start [rad/s or m/s].
+        tau: (S, n) torque of each step [N m].
+    """
+
+    q: Array
+    qd: Array
+    tau: Array
+
+
+@dataclass(frozen=True)
 class ServoWindow:
     """Start of a rollout behind servos, and the commands that drive it.
 
@@ -193,8 +208,8 @@ def mean_commands(time: Array, command: Array, edges: Array) -> Array:
     return np.diff(values, axis=0) / np.diff(edges)[:, None]
 
 
-class ServoRollouts:
-    """Rollouts of an arm behind servos, on one copy of its model, which meshes make large.
+class Rollouts:
+    """Rollouts of an arm, on one copy of its model, which meshes make large.
 
     They run on all processors where MuJoCo can play rollouts of several models at a time.
 
@@ -204,13 +219,11 @@ class ServoRollouts:
     Attributes:
         robot: as given.
         model: the copy, see ``forward_model``.
-        actuators: those of the chain.
     """
 
     def __init__(self, robot: RobotModel) -> None:
         self.robot = robot
         self.model = forward_model(robot)
-        self.actuators = chain_actuators(robot)
         self._pool: Any = None
         threads = 1
         # Older releases play one rollout at a time.
@@ -219,6 +232,79 @@ class ServoRollouts:
             # Zero stands for the calling thread.
             self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
+
+    def set_constants(self) -> None:
+        """Make what MuJoCo computes of a model agree with its changed numbers.
+
+        As in a compiled file, dry friction is as firm as these rotor inertias make it.
+        """
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+
+    def under_torques(self, windows: Sequence[TorqueWindow]) -> Array:
+        """Return chain positions (W, S + 1, n) in W windows, the start included, as ``play``."""
+        tau = np.stack([window.tau for window in windows])
+        inputs = np.zeros((*tau.shape[:2], self.model.nu + self.model.nv))
+        inputs[:, :, self.model.nu + self.robot.dof_index] = tau
+        return self.play(windows, inputs)
+
+    def play(
+        self, windows: Sequence[TorqueWindow | ServoWindow], inputs: Array
+    ) -> Array:
+        """Return chain positions (W, S + 1, n) under inputs (W, S, nu + nv) of the model.
+
+        Positions are NaN from where a rollout diverged.
+        """
+        model = self.model
+        data = self._data[0]
+        starts = np.empty((len(windows), mujoco.mj_stateSize(model, _STATE)))
+        for start, window in zip(starts, windows):
+            set_chain_state(self.robot, model, data, window.q, window.qd)
+            mujoco.mj_getState(model, data, start, _STATE)
+        with captured_warnings():
+            if self._pool is None:
+                states = self._run_stepwise(starts, inputs)
+            else:
+                models = [model] * len(starts)
+                states, _ = self._pool.rollout(
+                    models, self._data, starts, inputs, control_spec=_INPUTS
+                )
+        # A state is the time, then the positions, then more.
+        states = np.concatenate((starts[:, None], states), axis=1)
+        q = states[:, :, 1 + self.robot.qpos_index]
+        # Positions of a rollout that diverges become huge; its clock stands still, or starts again.
+        timestep = model.opt.timestep
+        late = timestep * np.arange(q.shape[1]) - states[:, :, 0]
+        is_well = np.all(np.abs(q) < 1e6, axis=2) & (late < 0.5 * timestep)
+        q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
+        return q
+
+    def _run_stepwise(self, starts: Array, inputs: Array) -> Array:
+        """Return the states (W, S, s) after each step, from starts (W, s), one after the other.
+
+        This is for releases without ``mujoco.rollout``.
+        """
+        data = self._data[0]
+        states = np.empty((*inputs.shape[:2], starts.shape[1]))
+        for start, rows, played in zip(starts, inputs, states):
+            mujoco.mj_resetData(self.model, data)
+            mujoco.mj_setState(self.model, data, start, _STATE)
+            for values, state in zip(rows, played):
+                mujoco.mj_setState(self.model, data, values, _INPUTS)
+                mujoco.mj_step(self.model, data)
+                mujoco.mj_getState(self.model, data, state, _STATE)
+        return states
+
+
+class ServoRollouts(Rollouts):
+    """Rollouts of an arm behind servos.
+
+    Attributes:
+        actuators: those of the chain.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        super().__init__(robot)
+        self.actuators = chain_actuators(robot)
 
     def positions(
         self, servos: ServoParameters, windows: Sequence[ServoWindow], edges: Array
@@ -284,51 +370,8 @@ class ServoRollouts:
         springs = model.dof_jntid[dofs][~driven]
         in_file = self.robot.mj_model.jnt_stiffness[springs]
         model.jnt_stiffness[springs] = in_file + stiffness[~driven]
-        # As in a compiled file, dry friction is as firm as these rotor inertias make it.
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        self.set_constants()
         # An implicit step damps the velocity at its end. Half a step of damping less of rotor
         # inertia makes it the mean of those at both ends.
         less = 0.5 * model.opt.timestep * damping
         model.dof_armature[dofs] = np.maximum(armature - less, 0.0)
-
-    def play(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
-        """Return chain positions (W, S + 1, n) under inputs (W, S, nu + nv) of the model."""
-        model = self.model
-        data = self._data[0]
-        starts = np.empty((len(windows), mujoco.mj_stateSize(model, _STATE)))
-        for start, window in zip(starts, windows):
-            set_chain_state(self.robot, model, data, window.q, window.qd)
-            mujoco.mj_getState(model, data, start, _STATE)
-        with captured_warnings():
-            if self._pool is None:
-                states = self._run_stepwise(starts, inputs)
-            else:
-                models = [model] * len(starts)
-                states, _ = self._pool.rollout(
-                    models, self._data, starts, inputs, control_spec=_INPUTS
-                )
-        # A state is the time, then the positions, then more.
-        states = np.concatenate((starts[:, None], states), axis=1)
-        q = states[:, :, 1 + self.robot.qpos_index]
-        # Positions of a rollout that diverges become huge; its clock stands still, or starts again.
-        timestep = model.opt.timestep
-        late = timestep * np.arange(q.shape[1]) - states[:, :, 0]
-        is_well = np.all(np.abs(q) < 1e6, axis=2) & (late < 0.5 * timestep)
-        q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
-        return q
-
-    def _run_stepwise(self, starts: Array, inputs: Array) -> Array:
-        """Return the states (W, S, s) after each step, from starts (W, s), one after the other.
-
-        This is for releases without ``mujoco.rollout``.
-        """
-        data = self._data[0]
-        states = np.empty((*inputs.shape[:2], starts.shape[1]))
-        for start, rows, played in zip(starts, inputs, states):
-            mujoco.mj_resetData(self.model, data)
-            mujoco.mj_setState(self.model, data, start, _STATE)
-            for values, state in zip(rows, played):
-                mujoco.mj_setState(self.model, data, values, _INPUTS)
-                mujoco.mj_step(self.model, data)
-                mujoco.mj_getState(self.model, data, state, _STATE)
-        return states
