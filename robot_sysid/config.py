@@ -118,7 +118,7 @@ class Config:
 
     model: ModelOptions = ModelOptions()
     output: OutputOptions = OutputOptions()
-    left_out: ClassVar[tuple[str, ...]] = ("keyframe", "links", "torque_from")
+    left_out: ClassVar[tuple[str, ...]] = ("keyframe", "links", "torque_from", "polish")
 
     @classmethod
     def records(cls) -> dict[str, Any]:
@@ -293,6 +293,7 @@ class PlanConfig(MotionConfig):
         "no_friction",
         "friction_model",
         "keep",
+        "polish",
     )
 
     @property

@@ -240,12 +240,12 @@ class Problem:
             fitted = replace(fitted, noise=fitted.residual_noise())
             if np.max(np.abs(fitted.noise / previous - 1.0)) < 1e-3:
                 break
-        fitted = fitted._constrained(fitted.normal, False)
+        fitted = fitted.constrained(fitted.normal, False)
         fitted = replace(fitted, free=fitted.values)
         if not possible:
             return fitted
         if not equations.are_possible(fitted.free):
-            fitted = fitted._constrained(fitted.normal, True)
+            fitted = fitted.constrained(fitted.normal, True)
         return replace(fitted, left_out=LeftOut.EACH)
 
     def expected(self, values: Mapping[str, float], noise: Array) -> Fit:
@@ -504,9 +504,9 @@ class Fit(Problem):
         equations = self.equations
         if equations.are_possible(values) and not np.any(equations.crossing(values)):
             return values
-        return self._constrained(self.normal_without([block]), True).values
+        return self.constrained(self.normal_without([block]), True).values
 
-    def _constrained(self, normal: Array, possible: bool) -> Fit:
+    def constrained(self, normal: Array, possible: bool) -> Fit:
         """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.
 
         Parameters that cross a bound are held at it. Bodies are possible ones, if they have to be.
