@@ -66,6 +66,9 @@ class PublicArm:
 UR10E = "ur10e_payload/ur10e.urdf"
 UR10E_EMPTY = "ur10e_payload/empty_100Hz.csv"
 UR10E_MOTION = (1.1, 25.3)
+AIRBOT = "published/airbot"
+EMPTY = f"{AIRBOT}/q_chirp_empty.csv {AIRBOT}/tau_chirp_empty.csv"
+LOADED = f"{AIRBOT}/q_chirp_loaded.csv {AIRBOT}/tau_chirp_loaded.csv"
 ARMS = (
     PublicArm(
         "KUKA LWR4+, [FloBaRoID](https://github.com/kjyv/FloBaRoID)",
@@ -97,6 +100,19 @@ ARMS = (
         "TIAGo, [FIGAROH's examples](https://github.com/thanhndv212/figaroh-examples)",
         "robot-sysid identify tiago/tiago.urdf tiago/tiago_100Hz.csv",
         "not published",
+    ),
+    PublicArm(
+        "AIRBOT Play, [figaroh_kinova](https://github.com/liuyurong129/figaroh_kinova)",
+        f"robot-sysid identify {AIRBOT}/airbot.urdf {EMPTY} --columns 'rate = 100'",
+        "not published",
+        fitted=0.7,
+    ),
+    PublicArm(
+        "the same with 0.48 kg",
+        f"robot-sysid payload {AIRBOT}/airbot.urdf --empty {EMPTY} --loaded {LOADED} "
+        "--columns 'rate = 100'",
+        "not published",
+        fitted=0.7,
     ),
     PublicArm(
         "ROKAE AR5, "
