@@ -71,8 +71,8 @@ class Group:
         )
 
     def __str__(self) -> str:
-        low = np.nanmin(self.samples)
-        high = np.nanmax(self.samples)
+        low = np.min(self.samples)
+        high = np.max(self.samples)
         return f"{self.text} ({low:.4g} to {high:.4g})"
 
 
@@ -132,7 +132,7 @@ class Suggestion:
         if unit:
             return
         # Of rates from 10 to 5000 Hz, one unit of time at most makes one.
-        period = np.nanmedian(np.diff(self.clock))
+        period = np.median(np.diff(self.clock))
         units = [u for u in TIME_UNITS if 2e-4 <= period * UNITS["time"][u] <= 0.1]
         self.clock *= UNITS["time"][units[0]] if units else np.nan
         self.units += [unit for unit in units or [BLANK] if unit != "s"]
@@ -143,10 +143,11 @@ class Suggestion:
         motions = [
             g for g in self.groups if g.quantity in (None, "position", "velocity")
         ]
-        for group, other in permutations(motions, 2):
-            ratio = _derivative_ratio(group.samples, other.samples, self.clock)
-            if ratio is not None:
-                ratios[group.text, other.text] = ratio
+        moves = {g.text: _moves(g.samples, self.clock) for g in motions}
+        for text, other in permutations(moves, 2):
+            ratio = _derivative_ratio(moves[text][0], moves[other][1])
+            if ratio:
+                ratios[text, other] = ratio
         found = self.finder.recognise("position")
         if found:
             samples = self.samples[:, [column.index for column in found]]
@@ -191,9 +192,9 @@ class Suggestion:
         reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
         # More than an arm's joints have.
         reach[np.isinf(reach) & ~robot.is_slide] = 4.0 * np.pi
-        excess = np.nanmax(np.abs(q), axis=0) / reach
+        excess = np.max(np.abs(q), axis=0) / reach
         # Whole numbers may be the counts of an encoder.
-        is_whole = np.all((q == np.round(q)) | np.isnan(q))
+        is_whole = np.all(q == np.round(q))
         for is_kind, declared, units in (
             (~robot.is_slide, choices.angle_unit, ["deg", "cdeg"]),
             (robot.is_slide, choices.length_unit, ["mm"]),
@@ -249,8 +250,8 @@ class Suggestion:
         if self.position is None:
             return False
         rows = np.linspace(0, len(self.samples) - 1, 500).astype(int)
-        signals = np.hstack((self.position, group.samples))[rows]
-        q, tau = np.hsplit(signals[~np.isnan(signals).any(axis=1)], 2)
+        q = self.position[rows]
+        tau = group.samples[rows]
         weight = ArmDynamics(self.finder.robot).torque(q, 0.0 * q, 0.0 * q)
         # A constant is no torque: what changes has to agree, too, as far as friction lets it.
         changes = (weight - np.mean(weight, axis=0), tau - np.mean(tau, axis=0))
@@ -286,15 +287,22 @@ def suggest_columns(table: LogTable, finder: ColumnFinder) -> Suggestion | None:
 
 
 def _read_samples(table: LogTable) -> Array:
-    """Return the numbers (N, C) of the first rows of a log, NaN where a column is text."""
+    """Return the numbers (N, C) of the first rows of a log, NaN in a column of text.
+
+    What is missing elsewhere is interpolated.
+    """
     columns = [*range(len(table.titles))]
     if table.first_row:
         columns = [k for k in columns if _NUMBER.fullmatch(table.first_row[k])]
     # 50 000 rows, or 5 million characters.
     blocks = islice(table.rows(columns), 5)
-    cells = np.concatenate([block.cells for block in blocks])
+    cells = np.vstack([np.empty((0, len(columns))), *(b.cells for b in blocks)])
     samples = np.full((len(cells), len(table.titles)), np.nan)
-    samples[:, columns] = np.where(np.isfinite(cells), cells, np.nan)
+    for column, numbers in zip(columns, cells.T):
+        known = np.flatnonzero(np.isfinite(numbers))
+        if len(known):
+            rows = np.arange(len(numbers))
+            samples[:, column] = np.interp(rows, known, numbers[known])
     return samples
 
 
@@ -302,12 +310,11 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
     """Yield the groups of columns of numbers, from left to right."""
     texts = finder.texts
     names = finder.robot.joint_names
-    is_number = ~np.all(np.isnan(samples), axis=0)
+    numbers = np.flatnonzero(np.isfinite(samples).any(axis=0)).tolist()
     found: dict[tuple[int, ...], str] = {}
     if len(names) == 1:
         found = {(k,): text for k, text in enumerate(texts)}
     elif texts == _numbered(len(texts)):
-        numbers = np.flatnonzero(is_number).tolist()
         # What is beside full runs of joints is time.
         times = _steady_columns(samples)[: len(numbers) % len(names)]
         others = [k for k in numbers if k not in times]
@@ -322,7 +329,7 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
                 continue
             found.setdefault(tuple(columns), pattern)
     for columns, text in sorted(found.items()):
-        if columns and is_number[[*columns]].all():
+        if columns and {*columns} <= {*numbers}:
             if not (text.startswith("#") or _PLAIN_TITLE.fullmatch(text)):
                 text = _column_text(texts, columns)
             title = finder.titles[columns[0]]
@@ -353,7 +360,7 @@ def _steady_columns(samples: Array) -> list[int]:
     """Return the columns (indices) that increase from row to row by steps of about one size."""
     steady = []
     for column, values in enumerate(samples.T):
-        step = np.diff(values[~np.isnan(values)])
+        step = np.diff(values)
         if len(step) < 10 or np.mean(step > 0.0) < 0.99:
             continue
         low, high = np.percentile(step, (10, 90))
@@ -362,26 +369,24 @@ def _steady_columns(samples: Array) -> list[int]:
     return steady
 
 
-def _derivative_ratio(integral: Array, derivative: Array, clock: Array) -> float | None:
-    """Return by what columns (N, n) are to be divided to be the derivative of others by a clock.
+def _moves(samples: Array, clock: Array) -> tuple[Array, Array]:
+    """Return the changes (K, n) of columns in stretches of rows, and their integrals by a clock."""
+    stride = 20
+    area = np.diff(clock)[:, None] * (samples[1:] + samples[:-1]) / 2.0
+    path = np.cumsum(np.vstack((0.0 * samples[:1], area)), axis=0)
+    return np.diff(samples[::stride], axis=0), np.diff(path[::stride], axis=0)
+
+
+def _derivative_ratio(changes: Array, integrals: Array) -> float | None:
+    """Return by what the columns of integrals (K, n) are to be divided to be those of changes.
 
     None where they are not, at a joint that moves, or where the joints disagree.
     """
-    signals = np.column_stack((clock, integral, derivative))
-    time, q, qd = np.split(
-        signals[~np.isnan(signals).any(axis=1)], [1, 1 + integral.shape[1]], 1
-    )
-    stride = 20
-    if len(time) < 5 * stride:
-        return None
-    path = np.cumsum(np.diff(time, axis=0) * (qd[1:] + qd[:-1]) / 2.0, axis=0)
-    expected = q[1 + stride :] - q[1:-stride]
-    distance = path[stride:] - path[:-stride]
-    squares = np.sum(expected**2, axis=0)
-    moving = squares > 0.01 * np.max(squares)
-    products = np.sum(expected * distance, axis=0)[moving]
-    norms = np.sqrt(squares * np.sum(distance**2, axis=0))[moving]
-    if not moving.any() or np.any(products <= 0.9 * norms):
+    squares = np.sum(changes**2, axis=0)
+    moving = np.flatnonzero(squares > 0.01 * np.max(squares, initial=0.0))
+    products = np.sum(changes * integrals, axis=0)[moving]
+    norms = np.sqrt(squares * np.sum(integrals**2, axis=0))[moving]
+    if not len(moving) or np.any(products <= 0.9 * norms):
         return None
     ratios = products / squares[moving]
     ratio = float(np.median(ratios))
