@@ -464,7 +464,7 @@ class ColumnFinder:
     def _look_up(self, text: str) -> _Source:
         """Return (column index, factor) of "title", "-title" or "0.5 * title"."""
         texts = self.texts
-        title, factor = self._split_factor(text)
+        title, factor = self.split_factor(text)
         if re.fullmatch(r"#\d+", title) and title not in texts:
             # The columns by their numbers, from 1.
             texts = list(map("#{}".format, range(1, len(texts) + 1)))
@@ -477,7 +477,7 @@ class ColumnFinder:
     def _look_up_all(self, text: str) -> Sequence[_Source]:
         """Return (column index, factor) of each joint, by a pattern, a range or a list."""
         joint_names = self.robot.joint_names
-        title, factor = self._split_factor(text)
+        title, factor = self.split_factor(text)
         fits, note = fit_pattern(title, self.texts, joint_names)
         if fits:
             self._pattern_notes.append(note)
@@ -496,7 +496,7 @@ class ColumnFinder:
             )
         return [*map(self._look_up, titles)]
 
-    def _split_factor(self, text: str) -> tuple[str, float]:
+    def split_factor(self, text: str) -> tuple[str, float]:
         """Return title and factor of "title", "-title" or "0.5 * title"."""
         scaled = _SCALED.fullmatch(text)
         if text in self.texts or not scaled:

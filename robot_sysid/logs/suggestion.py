@@ -35,7 +35,7 @@ BLANK = "?"
 # Cells of a first row that are numbers, times or empty.
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
 # Titles that a line takes for nothing else.
-_PLAIN_TITLE = re.compile(r"[^\s=?#+-]([^=?#\x00-\x1f]*[^\s=?#])?")
+_PLAIN_TITLE = re.compile(r"[^\s=?#]([^=?#\x00-\x1f]*[^\s=?#])?")
 # Words of titles of an encoder's counts, which are positions.
 _COUNTS = token_set("ticks counts encoder enc")
 # Excess over a joint's range that a zero elsewhere may make (chosen).
@@ -174,7 +174,8 @@ class Suggestion:
                 self.entries["rate"] = f"{float(f'{ratio:.3g}'):g}"
                 condition = " at that rate, if both are in one unit"
                 ratio = 1.0
-            if abs(ratio - 1.0) < 0.1:
+            unit = group.title.unit
+            if abs(ratio - 1.0) < 0.1 and (not unit or unit in UNITS["velocity"]):
                 self.entries["velocity"] = group.text
                 self.reasons.append(
                     f"{group.text} are the derivative of {position.text}{condition}"
@@ -313,7 +314,7 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
     numbers = np.flatnonzero(np.isfinite(samples).any(axis=0)).tolist()
     found: dict[tuple[int, ...], str] = {}
     if len(names) == 1:
-        found = {(k,): text for k, text in enumerate(texts)}
+        found = {(k,): "" for k in numbers}
     elif texts == _numbered(len(texts)):
         # What is beside full runs of joints is time.
         times = _steady_columns(samples)[: len(numbers) % len(names)]
@@ -327,11 +328,12 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
                 columns, _ = fit_pattern(pattern, texts, names)
             except InputError:
                 continue
-            found.setdefault(tuple(columns), pattern)
+            is_whole = finder.split_factor(pattern) == (pattern, 1.0)
+            is_plain = is_whole and _PLAIN_TITLE.fullmatch(pattern)
+            found.setdefault(tuple(columns), pattern if is_plain else "")
     for columns, text in sorted(found.items()):
         if columns and {*columns} <= {*numbers}:
-            if not (text.startswith("#") or _PLAIN_TITLE.fullmatch(text)):
-                text = _column_text(texts, columns)
+            text = text or _column_text(texts, columns)
             title = finder.titles[columns[0]]
             yield Group(text, title, columns, samples[:, [*columns]])
 

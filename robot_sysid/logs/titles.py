@@ -134,6 +134,8 @@ _UNIT_TOKENS = token_set(
 # Text in round, square or curly brackets.
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 
+# A joint in brackets: its number, such as 3, A3 or axis_3.
+_INDEX = re.compile(r"[a-zA-Z]*[ _]?\d+")
 # A title with any other token does not stand for a quantity.
 _VOCABULARY = {*QUANTITY_OF_TOKEN, *_NEUTRAL, *_COMMANDED}
 
@@ -254,10 +256,10 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
 
 
 def _split_bracketed_unit(text: str) -> tuple[str, str]:
-    """Return (unit in brackets, title without it); a number in brackets is an index and stays."""
+    """Return (unit in brackets, title without it); what ends in a number there is a joint's."""
     unit = ""
     for content in _BRACKETS.findall(text):
-        if content.strip().isdigit():
+        if _INDEX.fullmatch(content.strip()):
             text = _BRACKETS.sub(rf" {content.strip()} ", text, count=1)
         else:
             unit = re.sub(r"[^a-z0-9°µ]", "", content.lower().replace("μ", "µ"))

@@ -60,6 +60,8 @@ def titled(quantity: str) -> list[str]:
         "timestamp,actual_q_0,actual_q_1,actual_q_2,actual_current_as_torque_0,"
         "actual_current_as_torque_1,actual_current_as_torque_2,target_moment_0,actual_current_0",
         "time,q0,q1,q2,tauEst0,tauEst1,tauEst2",
+        "t,Position (A1),Position (A2),Position (A3),Moment (A1) [Nm],Moment (A2) [Nm],"
+        "Moment (A3) [Nm]",
         "%time,field.position0,field.position1,field.position2,field.effort0,field.effort1,"
         "field.effort2,field.header.seq",
     ],
