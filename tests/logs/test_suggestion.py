@@ -43,6 +43,8 @@ def signals_of(log) -> dict[str, np.ndarray]:
         "deg/s": np.degrees(log.qd),
         "cdeg": 100.0 * np.degrees(log.q) + 1e-3,
         "ticks": 2048.0 + np.round(TURN * log.q),
+        "heat": log.tau + 40.0,
+        "warm": 0.0 * log.tau + 40.0 * np.eye(log.tau.shape[1])[1],
         "soll": np.degrees(log.q) + 0.01,
     }
 
@@ -157,7 +159,9 @@ BLANKS = {
         "time",
     ),
     "computed torques": ({"time": "t", "q{}": "q", "tau_model{}": "tau"}, "torque"),
-    "no torques": ({"time": "t", "q{}": "q", "heat{}": "deg/s"}, "torque"),
+    "speeds": ({"time": "t", "q{}": "q", "x{}": "deg/s"}, "torque"),
+    "heat": ({"time": "t", "q{}": "q", "x{}": "heat"}, "torque"),
+    "constants": ({"time": "t", "q{}": "q", "x{}": "warm"}, "torque"),
 }
 """Title to signal of a log, and the key that cannot be told."""
 
