@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29131,
-    "robot_sysid/logs": 25266,
+    "robot_sysid/logs": 25399,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
     "robot_sysid": 10871,
-    "tests": 224370,
+    "tests": 224516,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

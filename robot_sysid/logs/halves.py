@@ -13,14 +13,18 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.arrays import array_blocks
+from robot_sysid.logs.column_map import ColumnChoices, column_finder
 from robot_sysid.logs.table import LogTable
-from robot_sysid.logs.titles import UNITS, read_title
-from robot_sysid.records import Array
+from robot_sysid.logs.titles import read_title
+from robot_sysid.records import Array, Column, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
 
 
 def join_halves(
-    tables: Sequence[LogTable], joint_names: Sequence[str], driven: Collection[str]
+    tables: Sequence[LogTable],
+    robot: RobotModel,
+    choices: ColumnChoices,
+    driven: Collection[str],
 ) -> list[LogTable]:
     """Return tables, with each file of positions alone joined with the file of its torques.
 
@@ -28,18 +32,18 @@ def join_halves(
 
     Args:
         tables: of the files, in the order in which the user gave them.
-        joint_names: (n,) of the arm.
+        robot: the arm.
+        choices: declarations, which outrank the titles.
         driven: quantities that are needed beside positions, such as torque.
 
     Raises:
         InputError: the numbers of files differ, or two of them cannot be joined.
     """
-    n_joints = len(joint_names)
     positions = []
     torques = []
     for table in tables:
-        has_position = len(_columns(table, joint_names, {"position"})) >= n_joints
-        has_torque = len(_columns(table, joint_names, driven)) >= n_joints
+        has_position = bool(_columns(table, robot, choices, {"position"}))
+        has_torque = bool(_columns(table, robot, choices, driven))
         if has_position and not has_torque:
             positions.append(table)
         elif has_torque and not has_position:
@@ -56,41 +60,59 @@ def join_halves(
     for table in tables:
         if table in positions:
             torque = torques[positions.index(table)]
-            joined.append(_join(table, torque, joint_names, driven))
+            joined.append(_join(table, torque, robot, choices, driven))
         elif table not in torques:
             joined.append(table)
     return joined
 
 
 def _columns(
-    table: LogTable, joint_names: Sequence[str], quantities: Collection[str]
+    table: LogTable,
+    robot: RobotModel,
+    choices: ColumnChoices,
+    quantities: Collection[str],
 ) -> list[int]:
-    """Return the indices of the columns of a table that hold some quantities."""
-    titles = [read_title(text, joint_names) for text in table.titles]
+    """Return the indices of the columns of a table that hold some quantities; [] for too few."""
+    # What is declared of the other file is not in this one.
+    own = {key: value for key, value in choices.columns.items() if key in quantities}
+    if own:
+        key = min(own)
+        stated = ColumnChoices(columns=own)
+        is_commanded = key == "command"
+        finder = column_finder(
+            table.titles, robot, stated, table.first_row, False, is_commanded
+        )
+        columns = finder.recognise(key)
+        # A joint without torque has no column.
+        return [column.index for column in columns if column.factor]
+    titles = [read_title(text, robot.joint_names) for text in table.titles]
     quantity_of = [title.quantity_beside_name for title in titles]
-    return [k for k, quantity in enumerate(quantity_of) if quantity in quantities]
+    indices = [k for k, quantity in enumerate(quantity_of) if quantity in quantities]
+    return indices if len(indices) >= robot.n_joints else []
 
 
 def _join(
     position: LogTable,
     torque: LogTable,
-    joint_names: Sequence[str],
+    robot: RobotModel,
+    choices: ColumnChoices,
     driven: Collection[str],
 ) -> LogTable:
     """Return the rows of a table of positions beside those of a table of torques."""
-    q_time = _row_time(position, joint_names)
-    tau_time = _row_time(torque, joint_names)
-    q_columns = _columns(position, joint_names, {"position", "velocity"})
-    tau_columns = _columns(torque, joint_names, driven)
-    q = _cells(position, [*q_time, *q_columns])
-    tau = _cells(torque, [*tau_time, *tau_columns])
+    q_time, tau_time = (_time(table, robot, choices) for table in (position, torque))
+    q_columns = _columns(position, robot, choices, {"position"})
+    tau_columns = _columns(torque, robot, choices, driven)
+    q_columns += _columns(position, robot, choices, {"velocity"})
+    q_columns = [column.index for column in q_time] + q_columns
+    q = _cells(position, q_columns)
+    tau = _cells(torque, [*(column.index for column in tau_time), *tau_columns])
     how = "row by row"
     if q_time and tau_time:
         # The times of both in the unit of the first.
-        tau[:, 0] *= _unit(torque, tau_time[0]) / _unit(position, q_time[0])
+        tau[:, 0] *= tau_time[0].factor / q_time[0].factor
         if len(q) != len(tau) or not _are_equal(q[:, 0], tau[:, 0]):
             q, tau, how = _interpolate(position, torque, q, tau)
-        tau = tau[:, 1:]
+        tau = tau[:, -len(tau_columns) :]
     elif len(q) != len(tau):
         raise InputError(
             f"{position} has {len(q)} rows of positions and {torque} {len(tau)} of torques, and "
@@ -98,10 +120,10 @@ def _join(
             "the time into both"
         )
     else:
-        tau_columns = [*tau_time, *tau_columns]
+        tau_columns = [*(column.index for column in tau_time), *tau_columns]
     # Columns that are not read keep their place: they may list the joints' names.
     cells = np.full((len(q), len(position.titles)), np.nan)
-    cells[:, [*q_time, *q_columns]] = q
+    cells[:, q_columns] = q
     return replace(
         position,
         titles=(*position.titles, *(torque.titles[k] for k in tau_columns)),
@@ -118,19 +140,13 @@ def _join(
     )
 
 
-def _row_time(table: LogTable, joint_names: Sequence[str]) -> list[int]:
-    """Return the index of the column of the rows' times in a list; [] for none, or several."""
-    columns = []
-    for index in _columns(table, joint_names, {"time"}):
-        title = read_title(table.titles[index], joint_names)
-        if title.quantity == "time" and not title.numbers:
-            columns.append(index)
-    return columns if len(columns) == 1 else []
-
-
-def _unit(table: LogTable, column: int) -> float:
-    """Return the unit of a column of times that its title names [s]; one second for none."""
-    return UNITS["time"].get(read_title(table.titles[column]).unit, 1.0)
+def _time(
+    table: LogTable, robot: RobotModel, choices: ColumnChoices
+) -> tuple[Column, ...]:
+    """Return the column of the rows' times; () for none, and where a rate is declared."""
+    stated = replace(choices, columns={}).over(table.choices)
+    finder = column_finder(table.titles, robot, stated, table.first_row, False, False)
+    return finder.recognise("time")
 
 
 def _cells(table: LogTable, columns: Sequence[int]) -> Array:

@@ -108,7 +108,8 @@ def open_logs(
         opened.append(source)
     if not any(isinstance(source, Recording) for source in opened):
         driven = {"command"} if options.commanded else {"torque", "current"}
-        opened = join_halves(opened, robot.joint_names, driven)
+        choices = _stated_choices(options, robot)
+        opened = join_halves(opened, robot, choices, driven)
     return [open_log(robot, source, options, progress) for source in opened]
 
 
@@ -146,6 +147,14 @@ def refuse_repeated_logs(logs: Sequence[Recording]) -> None:
             )
 
 
+def _stated_choices(options: LogOptions, robot: RobotModel) -> ColumnChoices:
+    """Return the units and columns that options declare for an arm."""
+    choices = parse_units(options.units) if options.units else ColumnChoices()
+    if options.columns:
+        choices = choices.over(read_columns(options.columns, robot.joint_names))
+    return choices
+
+
 def _map_columns(
     table: LogTable, path: Path, robot: RobotModel, options: LogOptions
 ) -> ColumnMap:
@@ -153,12 +162,8 @@ def _map_columns(
 
     ``path`` is the log's, for messages. InputError where columns are missing.
     """
-    choices = parse_units(options.units) if options.units else ColumnChoices()
-    declared: Mapping[str, str] = {}
-    if options.columns:
-        declared = declarations(options.columns)
-        choices = choices.over(read_columns(options.columns, robot.joint_names))
-    choices = choices.over(table.choices)
+    declared = declarations(options.columns) if options.columns else {}
+    choices = _stated_choices(options, robot).over(table.choices)
     currents = options.torque_constants is not None
     finder = column_finder(
         table.titles, robot, choices, table.first_row, currents, options.commanded
@@ -237,7 +242,10 @@ _REMEDY = (
     "title for each joint, or 'position = A*'"
 )
 # What to do where columns are in another file.
-_HALF = "a file of the torques, or of the positions, is given behind this one"
+_HALF = (
+    "a file of the torques, or of the positions, is given behind this one, both with titles, such "
+    "as q1 and tau1"
+)
 # Fields of options that change what is read from a log.
 _READING_OPTIONS = ("columns", "units", "topic", "episode")
 # Fields of options that change torques.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,22 @@ def test_a_gripper_makes_no_whole_log_of_a_half(tmp_path):
         path.write_text(text + "\n")
     (log,) = read(paths)
     assert_samples(without_speed(DATA), log)
+
+
+def test_declared_columns_of_two_files_are_joined(tmp_path):
+    """Each file has the titles of its own quantity alone."""
+    time = DATA.time
+    positions = write_half(tmp_path, "a.csv", time, DATA.q, ("A1", "A2", "A3"))
+    torques = write_half(tmp_path, "m.csv", time, DATA.tau, ("M1", "M2", "M3"))
+    columns = tmp_path / "columns.txt"
+    columns.write_text("position = A*\ntorque = M*\n")
+    (log,) = read([positions, torques], columns=columns)
+    assert_samples(without_speed(DATA), log)
+    columns.write_text(
+        "position = A*\ntorque.base = M1\ntorque.elbow = none\ntorque.wrist = -M3"
+    )
+    (log,) = read([positions, torques], columns=columns)
+    assert_samples(replace(without_speed(DATA), tau=DATA.tau * [1.0, 0.0, -1.0]), log)
 
 
 def test_units_of_time_in_titles_are_those_of_each_file(tmp_path):
