@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3889,
     "robot_sysid/commands": 10619,
-    "robot_sysid/damiao": 32361,
+    "robot_sysid/damiao": 32392,
     "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29131,

@@ -249,7 +249,10 @@ class Player:
         if not self._holding.is_model:
             self._session.open_range()
         limits = self._session.limits
-        return Lowering(begin, self._settings.approach_speed, limits.torque, limits)
+        speed = self._settings.approach_speed
+        lowering = Lowering(begin, speed, limits.torque, limits)
+        lowering.stiffness = self._stiffness
+        return lowering
 
     def _phase(
         self,
@@ -317,7 +320,7 @@ class Player:
         kp = self._gain * np.array(self._settings.kp)
         kd = np.array(self._settings.kd)
         if self._follower is not None:
-            kp = self._follower.stiffness * kp
+            kp = self._stiffness * kp
             # Motors with stiffness alone oscillate.
             kd = np.maximum(self._follower.damping * kd, KD_STEP * (kp > 0.0))
         command = MitCommand(position, velocity, kp, kd, self._gain * torque)
@@ -341,6 +344,11 @@ class Player:
         if self._standing and np.all(np.isfinite(q)):
             self._standing_states.append(np.stack([q, motor_torque]))
         return replies, acted
+
+    @property
+    def _stiffness(self) -> Array | float:
+        """Share of the motors' stiffness that is in force, of all joints or of each (n,)."""
+        return self._follower.stiffness if self._follower else 1.0
 
     @property
     def _trusted_motion(self) -> Array:
@@ -396,10 +404,9 @@ class Player:
                 lacks_mean, reference.torque, observer.fed_torque
             )
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
-        stiffness = self._follower.stiffness if self._follower else 1.0
         # The position of a joint that jumped without stiffness may not be the one that its motor
         # controls: stiffness could push it on.
-        is_loose = observer.stuck & (stiffness == 0.0)
+        is_loose = observer.stuck & (self._stiffness == 0.0) & np.isfinite(q)
         position = np.where(is_loose, q, self._session.sent_position)
         carried = CarriedStop(
             settings,
