@@ -15,6 +15,7 @@ from rigs.places import ROOT
 from robot_sysid.commands import motors
 from robot_sysid.commands.arguments import CONSOLE, argument_settings, default_text
 from robot_sysid.config import (
+    CardOptions,
     MotorOptions,
     OutputOptions,
     PayloadOptions,
@@ -43,6 +44,7 @@ TABLES: Mapping[str, Sequence[Option]] = {
     "main": options_of_all(*SelfTestConfig.records().values(), only=_MAIN),
     "plan for a payload": options_of_all(AimOptions),
     "payload": options_of_all(PayloadOptions),
+    "cards": options_of_all(CardOptions),
     "console": CONSOLE,
     **{
         f"motors: {title}": options

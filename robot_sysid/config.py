@@ -19,7 +19,7 @@ from robot_sysid.logs import FittedLogOptions, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.records import file_access, option_fields
-from robot_sysid.records.controllers import AUTO, CHOICES
+from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS
 from robot_sysid.records.option_fields import (
     SCALE,
     Option,
@@ -316,10 +316,23 @@ class LogConfig(Config):
 
 
 @dataclass(frozen=True)
+class CardOptions(OptionRecord):
+    """For which simulators the identified arm is written beside the model."""
+
+    cards: str | None = option(
+        None,
+        "also write the numbers of the model as a Python file for this simulator, or for all",
+        choices=(ALL, *SIMULATORS),
+        default_text="none",
+    )
+
+
+@dataclass(frozen=True)
 class IdentifyConfig(LogConfig):
     """Options of ``identify``."""
 
     log: FittedLogOptions = FittedLogOptions()
+    cards: CardOptions = CardOptions()
     left_out: ClassVar[tuple[str, ...]] = ("keyframe",)
 
     def __post_init__(self) -> None:

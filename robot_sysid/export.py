@@ -12,14 +12,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.config import Config, PayloadConfig, PayloadOptions
+from robot_sysid.config import Config, IdentifyConfig, PayloadConfig, PayloadOptions
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.model.compilation import warnings_as_notes
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel, file_access
+from robot_sysid.records.controllers import ALL
 from robot_sysid.records.messages import Level, NextStep, Progress, says
 from robot_sysid.records.option_fields import write_torque_scale
-from robot_sysid.results.cards import card_text, number_groups
+from robot_sysid.results.cards import card_text, number_groups, simulator_card
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
 from robot_sysid.results.record import Identification, ModelTarget, Verdict
@@ -116,6 +118,7 @@ def save(
                 card = number_groups(payload)
                 text = card_text(payload, card, result.robot, options.cards)
                 files.write(written[-1], text)
+            written += write_simulator_cards(config, result.robot, files, written)
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
             written += motor_paths
@@ -172,6 +175,33 @@ def _write_models(
             target.files.withdraw(path)
         raise
     return written, notes
+
+
+def write_simulator_cards(
+    config: Config,
+    robot: RobotModel,
+    files: file_access.AtomicFiles,
+    written: Collection[Path],
+) -> list[Path]:
+    """Write the cards that the options ask for, of the first written model; return their paths.
+
+    Args:
+        config: names the simulators, if any.
+        robot: the arm as in the original model.
+        files: holds the draft of the model.
+        written: paths of the written files; without a model there is no card.
+    """
+    models = file_access.models_in(written)
+    if not isinstance(config, IdentifyConfig) or not config.cards.cards or not models:
+        return []
+    model = models[0]
+    arm = load_robot_model(files.draft_of(model), joint=robot.terminal_joint)
+    paths = []
+    for simulator, name in file_access.SIMULATOR_CARD_NAMES.items():
+        if config.cards.cards in (simulator, ALL):
+            paths.append(model.with_name(name))
+            files.write(paths[-1], simulator_card(simulator, robot, arm, model.name))
+    return paths
 
 
 def remove_earlier(

@@ -27,14 +27,14 @@ BUDGETS = {
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
     "robot_sysid/pipeline": 7147,
-    "robot_sysid/records": 10474,
+    "robot_sysid/records": 10557,
     "robot_sysid/report": 4902,
-    "robot_sysid/results": 10400,
-    "robot_sysid/servo": 7354,
+    "robot_sysid/results": 11025,
+    "robot_sysid/servo": 7379,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
-    "robot_sysid": 10871,
-    "tests": 224516,
+    "robot_sysid": 11103,
+    "tests": 227247,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -1,4 +1,4 @@
-"""Makers of arms whose controllers take a payload, recognised by the names in an arm's model."""
+"""Who takes a card: makers of arms, recognised by the names in a model, and simulators."""
 
 from __future__ import annotations
 
@@ -28,7 +28,17 @@ MAKERS: Mapping[str, str] = {
 """Key of a maker in ``CHOICES`` to a regular expression of the names of its arms, in lower case
 with "_" between words."""
 CHOICES = (AUTO, ALL, *MAKERS, "urdf", "mujoco")
-"""Choices of the cards that are written."""
+"""Choices of the cards of a payload."""
+SIMULATORS: Mapping[str, str] = {
+    "isaaclab": "Isaac Lab",
+    "mjlab": "mjlab",
+    "newton": "Newton",
+    "genesis": "Genesis",
+    "drake": "Drake",
+    "pinocchio": "Pinocchio",
+}
+"""Key of a library that simulates or computes arms to its name: each has a card of an arm, the
+template of that key in ``results/card_templates``."""
 
 
 def makers_of(robot: RobotModel) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from robot_sysid.errors import InputError, delay_signals, error_text
+from robot_sysid.records.controllers import SIMULATORS
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Format of the robot's model file to the name of the written model: a URDF stays one."""
@@ -33,11 +34,19 @@ DAMIAO_NAME = "damiao_trajectory.csv"
 """Name of the file with a motion for Damiao motors."""
 CARD_NAME = "payload_card.txt"
 """Name of the file with a payload in the form of each controller."""
+SIMULATOR_CARD_NAMES = {key: f"{key}_card.py" for key in SIMULATORS}
+"""Key of a simulator to the name of the file with an arm in its form."""
 SERVO_NAME = "servo.json"
 """Name of the file with all numbers identified for an arm without torque measurement."""
 RUN_NAME = "run.toml"
 """Name of the file with all options of a run, from which it can be repeated."""
-RESULT_NAMES = (PARAMS_NAME, SERVO_NAME, *MODEL_NAMES.values(), CARD_NAME)
+RESULT_NAMES = (
+    PARAMS_NAME,
+    SERVO_NAME,
+    *MODEL_NAMES.values(),
+    CARD_NAME,
+    *SIMULATOR_CARD_NAMES.values(),
+)
 """Names of files that any run may write to its output folder."""
 # Begin of the name of a draft, a hidden file that is renamed when it is complete.
 _DRAFT_PREFIX = ".robot-sysid-"
@@ -188,6 +197,10 @@ class AtomicFiles:
                 content.encode("utf-8") if isinstance(content, str) else content
             )
         return draft
+
+    def draft_of(self, path: Path) -> Path:
+        """Return where the draft of the file ``path`` is."""
+        return self._drafts[path]
 
     def withdraw(self, path: Path) -> None:
         """Remove the draft of the file ``path``, if there is one; ``commit`` then leaves it out."""

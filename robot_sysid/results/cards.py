@@ -1,7 +1,9 @@
-"""Cards: a payload in the form of each controller or library, as text to copy.
+"""Cards: a payload in the form of each controller, as text to copy, and an arm in that of each
+simulator, as Python to import.
 
 Each form is a Jinja template of ``card_templates``, confirmed by its maker's own documentation or
-source. Numbers end at the second digit of their standard error, which the plain form states.
+source. Numbers of a payload end at the second digit of their standard error, which the plain form
+states; those of an arm are those of the written model, to ``EXACT_DIGITS``.
 """
 
 from __future__ import annotations
@@ -15,16 +17,23 @@ import numpy as np
 
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.controllers import ALL, AUTO, CHOICES, makers_of
+from robot_sysid.mjcf.inertial import sum_theta
+from robot_sysid.model.bodies import body_theta
+from robot_sysid.model.chain import shared_motors
+from robot_sysid.records import Array, InertialParameters, RobotModel
+from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS, makers_of
 from robot_sysid.records.messages import with_error
 from robot_sysid.results.quantities import load_errors, principal_moments
 from robot_sysid.results.record import BodyEstimate, Payload
 
-# Folder with a template for the plain form and for each of ``controllers.CHOICES`` but two.
+# Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
+# each of ``controllers.SIMULATORS``.
 _TEMPLATES = Path(__file__).with_name("card_templates")
 DIGITS = 9
 """Largest number of significant digits of a number that people type into a controller."""
+EXACT_DIGITS = 12
+"""Number of significant digits of a number that a simulator reads: the margin of a possible body
+is 1e-11 of its size."""
 # Share of the largest number of a group below which a number is rounding error: about 1e4 times the
 # relative rounding error of a double.
 _ROUNDING = 1e-12
@@ -43,16 +52,6 @@ def card_text(
         robot: the arm, whose names tell the controller.
         choice: of ``controllers.CHOICES``; ``AUTO`` for the arm's own controller.
     """
-    # Imported here: only a payload's card is made of templates.
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters.update(n=join_numbers, pm=_number_with_error)
     own = makers_of(robot)
     chosen = list(own) if choice == AUTO else [choice]
     if choice == ALL:
@@ -63,7 +62,7 @@ def card_text(
     quaternion = spatial.quaternion(flange.rotation)
     texts = []
     for name in ("plain", *chosen):
-        text = environment.get_template(f"{name}.txt").render(
+        text = _template(name).render(
             numbers,
             model=robot.path.name,
             recordings=payload.recordings,
@@ -76,6 +75,89 @@ def card_text(
         )
         texts.append(text)
     return "\n".join(texts)
+
+
+def simulator_card(
+    simulator: str, robot: RobotModel, written: RobotModel, model_name: str
+) -> str:
+    """Return the numbers of a written model as Python text that a simulator loads.
+
+    Args:
+        simulator: of ``controllers.SIMULATORS``.
+        robot: the arm as in the original model.
+        written: the same arm as in the written model.
+        model_name: name of the file of the written model.
+    """
+    original = {body.name: body.theta for link in robot.links for body in link.bodies}
+    bodies = {}
+    merged = {}
+    unchanged = []
+    for link in written.links:
+        # What hangs on joints of its own, such as fingers, is not identified.
+        parts = [body for body in link.bodies if body.welded]
+        parts = [x for x in parts if np.any(x.theta) or np.any(original[x.name])]
+        for body in parts:
+            theta = body_theta(written.mj_model, body.body_id)
+            bodies[body.name] = _exact_numbers(theta)
+            if np.allclose(body.theta, original[body.name], 1e-9, 1e-12):
+                unchanged.append(body.name)
+        if len(parts) > 1:
+            others = [body.name for body in parts[1:]]
+            merged[parts[0].name] = others, _exact_numbers(sum_theta(parts))
+    columns = {
+        "armature": written.armature,
+        "damping": written.friction.viscous,
+        "frictionloss": written.friction.coulomb,
+        "effort_limit": written.limits.torque,
+    }
+    joints = {}
+    for index, name in enumerate(written.joint_names):
+        joints[name] = {key: _exact(column[index]) for key, column in columns.items()}
+    return _template(simulator).render(
+        simulator=SIMULATORS[simulator],
+        model=robot.path.name,
+        file=model_name,
+        bodies=bodies,
+        unchanged=unchanged,
+        merged=merged,
+        joints=joints,
+        gravity=tuple(map(_exact, written.mj_model.opt.gravity)),
+        has_shared_motors=bool(shared_motors(written.mj_model, written.dof_index)),
+        has_nameless=any(name.startswith("#") for name in (*bodies, *joints)),
+    )
+
+
+def _exact_numbers(theta: Array) -> dict[str, Any]:
+    """Return mass, centre of mass and the inertia about it, xx yy zz xy xz yz, of theta (10,)."""
+    body = InertialParameters(theta)
+    inertia = spatial.fullinertia_from_symmetric(body.inertia_com)
+    # Nothing but rounding.
+    inertia[np.abs(inertia) < _ROUNDING * np.max(np.abs(inertia))] = 0.0
+    return {
+        "mass": _exact(body.mass),
+        "com": tuple(map(_exact, body.com)),
+        "inertia": tuple(map(_exact, inertia)),
+    }
+
+
+def _exact(value: float) -> float | None:
+    """Return a number with ``EXACT_DIGITS``; None where it is infinite, which is no limit."""
+    return float(f"{value:.{EXACT_DIGITS}g}") + 0.0 if math.isfinite(value) else None
+
+
+def _template(name: str) -> Any:
+    """Return the Jinja template of ``card_templates`` by its name without suffix."""
+    # Imported here: only cards are made of templates.
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters.update(n=join_numbers, pm=_number_with_error, py=repr)
+    return environment.get_template(f"{name}.txt")
 
 
 def number_groups(body: BodyEstimate) -> dict[str, Any]:

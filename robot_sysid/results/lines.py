@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from robot_sysid.records import ITSELF
-from robot_sysid.records.file_access import CARD_NAME, models_in
+from robot_sysid.records.controllers import SIMULATORS
+from robot_sysid.records.file_access import CARD_NAME, SIMULATOR_CARD_NAMES, models_in
 from robot_sysid.records.messages import Detail, NextStep, percent
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
@@ -250,6 +251,12 @@ def use_lines(path: Path, contents: str = "") -> tuple[str, str, str]:
     )
 
 
+def card_lines(files: Iterable[Path]) -> list[str]:
+    """Return a line for each card of a simulator among written files."""
+    names = {SIMULATOR_CARD_NAMES[key]: name for key, name in SIMULATORS.items()}
+    return [f"For {names[path.name]}: {path}" for path in files if path.name in names]
+
+
 def last_lines(
     content: Content, files: Sequence[Path], step: NextStep | None
 ) -> list[str]:
@@ -268,6 +275,7 @@ def last_lines(
     if content["source"] != ITSELF:
         for path in models_in(files)[:1]:
             lines += use_lines(path, contents)
+    lines += card_lines(files)
     if content["payload"] is not None:
         flange = content["payload"]["flange"]["name"]
         start = f"Copy into the controller, in the frame of {flange}"

@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import ExportError
-from robot_sysid.export import Written, remove_earlier, writable_folder
+from robot_sysid.export import (
+    Written,
+    remove_earlier,
+    writable_folder,
+    write_simulator_cards,
+)
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.mjcf.updated_model import ElementChange
@@ -29,7 +34,7 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.lines import folder_text, use_lines
+from robot_sysid.results.lines import card_lines, folder_text, use_lines
 from robot_sysid.results.record import DATA, MODEL, ModelTarget, Quantity
 from robot_sysid.results.table import cells, label, table_lines
 from robot_sysid.results.written_model import versions, write_joints
@@ -228,6 +233,7 @@ def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> 
                 target = ModelTarget(files, path, poses, config.model.mesh_dir)
                 write_joints(robot, tuple(result.changes()), target)
                 written.append(path)
+                written += write_simulator_cards(config, robot, files, written)
         except ExportError as error:
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
@@ -238,7 +244,7 @@ def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> 
         removed = remove_earlier(files, config, robot, written)
     progress.note(*result.notes, *removed)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
-    last_lines = [verdict, *use_lines(written[0])]
+    last_lines = [verdict, *use_lines(written[0]), *card_lines(written)]
     if failure is not None:
         last_lines = [f"Not usable: {failure}"]
     return Written(tuple(written), lines, tuple(last_lines), failure, result)

@@ -1,0 +1,393 @@
+"""Cards of simulators hold the numbers of the written model, and what reads them swings like it."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+import sys
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rigs.arms import random_theta
+from rigs.model_files import write_files
+from rigs.notes import NoteRecorder
+from robot_sysid import spatial
+from robot_sysid.config import IdentifyConfig
+from robot_sysid.errors import InputError
+from robot_sysid.export import save
+from robot_sysid.model.bodies import body_theta
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS
+from robot_sysid.records.file_access import SIMULATOR_CARD_NAMES
+from robot_sysid.results import cards
+from tests.results.test_written_model import checkpoints, file_of, result_of
+
+INERTIAL = (
+    '<inertial mass="{}" pos="{}" euler="10 20 30" diaginertia="0.02 0.03 0.02"/>'
+)
+BALL = '<geom type="sphere" size="0.01" contype="0" conaffinity="0"/>'
+ARM = f"""<mujoco model="arm"><worldbody><body name="base">
+{INERTIAL.format(1, "0 0 0")}{BALL}
+<body name="upper arm" pos="0 0 0.1"><joint name="arm/joint-1" axis="0 1 0"/>
+ {INERTIAL.format(2, "0.1 0 0.02")}{BALL}
+ <body name="fore" pos="0.3 0 0.1" euler="0 0 40"><joint name="2nd" axis="1 0.2 0"/>
+  {INERTIAL.format(1.5, "0.02 0.1 0")}{BALL}
+  <body name="hand" pos="0 0.25 0"><joint name="lift" type="slide" axis="0 0.3 1"/>
+   {INERTIAL.format(0.8, "0 0.03 0")}{BALL}
+   <body name="tool" pos="0 0.1 0.02" euler="30 0 50">
+    {INERTIAL.format(0.4, "0.01 0.02 0.05")}{BALL}
+</body></body></body></body></body></worldbody><actuator>
+<motor joint="arm/joint-1" forcerange="-40 40"/><motor joint="2nd" forcerange="-20 20"/>
+<motor joint="lift"/></actuator></mujoco>"""
+JOINTS = {
+    "arm/joint-1": {"armature": 0.11, "damping": 1.7, "frictionloss": 0.7},
+    "2nd": {"armature": 0.07, "damping": 0.9, "frictionloss": 0.3},
+    "lift": {"armature": 0.9, "damping": 60.0, "frictionloss": 2.0},
+}
+"""Numbers of the joints in the written model."""
+FIELDS = {
+    "armature": "armature",
+    "friction": "frictionloss",
+    "dynamic_friction": "frictionloss",
+    "viscous_friction": "damping",
+}
+"""Field of Isaac Lab to the number of a joint."""
+GRAVITY = np.array([0.4, -0.3, -9.7])
+TARGETS = pytest.mark.parametrize("simulator", [*SIMULATORS])
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """The arm before the identification."""
+    path = write_files(tmp_path_factory.mktemp("in"), {"arm.xml": ARM})
+    return load_robot_model(path)
+
+
+def identified(robot):
+    """A result with other numbers of all links but the first, of joints and of gravity."""
+    rng = np.random.default_rng(3)
+    thetas = robot.thetas
+    for k in range(1, robot.n_joints):
+        thetas[k] += random_theta(rng, 0.3)
+    result = result_of(robot, thetas[-1], **file_of(JOINTS, gravity=GRAVITY))
+    return replace(result, thetas=thetas, checkpoints=checkpoints(robot))
+
+
+def written_files(robot, folder, choice):
+    """Paths of the files of a run with ``--cards``."""
+    config = IdentifyConfig.of(
+        robot.path, measurements=("log.csv",), output_dir=folder, cards=choice
+    )
+    return save(identified(robot), config, NoteRecorder()).files
+
+
+@pytest.fixture(scope="module")
+def output(robot, tmp_path_factory):
+    """The folder of a result with all cards."""
+    folder = tmp_path_factory.mktemp("out")
+    written_files(robot, folder, ALL)
+    return folder
+
+
+def constants(path):
+    """Names of a card to their values, without the libraries that it imports."""
+    tree = ast.parse(path.read_text())
+    imports = (ast.Import, ast.ImportFrom)
+    tree.body = [node for node in tree.body if not isinstance(node, imports)]
+    values = {}
+    exec(compile(tree, str(path), "exec"), values)
+    return values
+
+
+def theta_of(numbers):
+    """Parameters (10,) of the numbers of a body."""
+    inertia = np.array(numbers["inertia"])[[0, 3, 4, 1, 5, 2]]
+    com = np.array(numbers["com"])
+    return spatial.theta_from_com(
+        numbers["mass"], com, spatial.symmetric_from_six(inertia)
+    )
+
+
+def test_each_template_has_its_row_and_each_row_its_template():
+    names = {path.stem for path in cards._TEMPLATES.iterdir()}
+    assert names == {"plain", "arm", *CHOICES, *SIMULATORS} - {AUTO, ALL}
+
+
+@TARGETS
+def test_a_card_is_python_and_has_the_numbers_of_the_written_model(output, simulator):
+    path = output / SIMULATOR_CARD_NAMES[simulator]
+    compile(path.read_text(), str(path), "exec")
+    card = constants(path)
+    model = mujoco.MjModel.from_xml_path(str(output / "updated_model.xml"))
+    assert [*card["BODIES"]] == ["upper arm", "fore", "hand", "tool"]
+    for name, numbers in card["BODIES"].items():
+        theta = body_theta(model, model.body(name).id)
+        assert_allclose(theta_of(numbers), theta, 1e-10, 1e-13, err_msg=name)
+    limits = dict(zip(JOINTS, (40.0, 20.0, None)))
+    assert card["JOINTS"] == {
+        name: {**numbers, "effort_limit": limits[name]}
+        for name, numbers in JOINTS.items()
+    }
+    assert card["GRAVITY"] == tuple(GRAVITY)
+
+
+def test_a_link_that_is_one_body_there_has_the_identified_parameters(robot, output):
+    card = constants(output / "drake_card.py")
+    names = ["base", "upper arm", "fore", "hand"]
+    thetas = [*map(theta_of, card["bodies_of"](names).values())]
+    assert_allclose(thetas, identified(robot).thetas, 1e-9, 1e-12)
+    assert card["bodies_of"]([*names, "tool"]) == card["BODIES"]
+    assert [*card["MERGED"]] == ["hand"]
+    with pytest.raises(ValueError, match=r"no body \['fore'\]; it has \['base'"):
+        card["bodies_of"](["base", "upper arm", "hand", "tool"])
+
+
+def test_what_is_the_models_own_is_marked(output):
+    lines = (output / "newton_card.py").read_text().splitlines()
+    marked = [line for line in lines if line.endswith("# as in the model before")]
+    # The link of the tool changed, by its first body.
+    assert [line.split("'")[1] for line in marked] == ["upper arm", "tool"]
+
+
+def test_only_the_card_of_the_choice_is_written_and_an_earlier_one_goes(
+    robot, tmp_path
+):
+    assert len(written_files(robot, tmp_path, ALL)) == 2 + len(SIMULATORS)
+    names = [path.name for path in written_files(robot, tmp_path, "drake")]
+    assert names == ["updated_model.xml", "drake_card.py", "params.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+
+
+def test_an_unknown_simulator_is_refused_with_the_choices(robot):
+    with pytest.raises(InputError, match="choose one of all, isaaclab, mjlab, newton"):
+        IdentifyConfig.of(robot.path, measurements=("log.csv",), cards="gazebo")
+
+
+def test_a_body_without_a_name_is_pointed_out(tmp_path):
+    path = write_files(tmp_path, {"arm.xml": ARM.replace(' name="fore"', "")})
+    arm = load_robot_model(path)
+    text = cards.simulator_card("drake", arm, arm, "updated_model.xml")
+    assert "'#3': {" in text and "stands for a body or joint without" in text
+
+
+def module_of(path):
+    """A card as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    card = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(card)
+    return card
+
+
+@dataclass
+class ImplicitActuatorCfg:
+    """The fields that Isaac Lab 3.0.0 documents of its class of this name."""
+
+    joint_names_expr: list
+    stiffness: object
+    damping: object
+    joint_effort_limit: object = None
+    armature: object = None
+    friction: object = None
+    dynamic_friction: object = None
+    viscous_friction: object = None
+
+
+@dataclass
+class EarlierActuatorCfg(ImplicitActuatorCfg):
+    """The same of Isaac Lab 2.3, which has another name for the limit."""
+
+    effort_limit_sim: object = None
+
+
+del EarlierActuatorCfg.__dataclass_fields__["joint_effort_limit"]
+
+
+@pytest.mark.parametrize("cfg", [ImplicitActuatorCfg, EarlierActuatorCfg])
+def test_isaac_lab_gets_the_joints_by_the_names_that_usd_gives_them(
+    output, monkeypatch, cfg
+):
+    """With stand-ins for the classes, which need a program that is not installed here."""
+    usd = SimpleNamespace(MakeValidIdentifier=lambda name: re.sub(r"\W|^\d", "_", name))
+    pxr = SimpleNamespace(Gf=None, Tf=usd, UsdGeom=None, UsdPhysics=None)
+    actuators = SimpleNamespace(ImplicitActuatorCfg=cfg)
+    for name, module in (("isaaclab.actuators", actuators), ("pxr", pxr)):
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setitem(sys.modules, "isaaclab", SimpleNamespace(actuators=actuators))
+    arm = module_of(output / "isaaclab_card.py").actuators(400.0, {"lift": 20.0})
+    names = ["arm_joint_1", "_nd", "lift"]
+    assert arm.joint_names_expr == names
+    for field, key in FIELDS.items():
+        values = [numbers[key] for numbers in JOINTS.values()]
+        assert getattr(arm, field) == dict(zip(names, values))
+    limits = {"arm_joint_1": 40.0, "_nd": 20.0}
+    is_new = cfg is ImplicitActuatorCfg
+    assert (arm.joint_effort_limit if is_new else arm.effort_limit_sim) == limits
+
+
+# What follows needs the libraries themselves.
+
+TIMES = np.linspace(0.0, 2.0, 41)
+START = np.array([0.6, -0.4, 0.02])
+STEP = 5e-4
+FREE = mujoco.mjtDisableBit.mjDSBL_ACTUATION | mujoco.mjtDisableBit.mjDSBL_CONTACT
+
+
+def swing_of_mujoco(path, with_dry_friction):
+    """Positions (41, 3) of the written model that swings freely."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.timestep = STEP
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.disableflags |= int(FREE)
+    if not with_dry_friction:
+        model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos[:] = START
+    return sampled(lambda: data.qpos, lambda: mujoco.mj_step(model, data))
+
+
+def sampled(positions, step):
+    """Positions at ``TIMES`` of what a function steps by ``STEP``."""
+    rows = [np.array(positions())]
+    steps = round(TIMES[1] / STEP)
+    for _ in TIMES[1:]:
+        for _ in range(steps):
+            step()
+        rows.append(np.array(positions()))
+    return np.array(rows)
+
+
+def swing_of_pinocchio(card, path):
+    """Positions (41, 3) by its forward dynamics; Heun's rule."""
+    pinocchio = pytest.importorskip("pinocchio")
+    model = pinocchio.buildModelFromMJCF(str(path))
+    card.set_model(model)
+    data = model.createData()
+    state = [START.copy(), np.zeros(3)]
+
+    def acceleration(q, v):
+        return pinocchio.aba(model, data, q, v, -model.damping * v).copy()
+
+    def step():
+        q, v = state
+        first = acceleration(q, v)
+        second = acceleration(q + STEP * v, v + STEP * first)
+        state[0] = q + STEP * v + 0.5 * STEP**2 * first
+        state[1] = v + 0.5 * STEP * (first + second)
+
+    return sampled(lambda: state[0], step)
+
+
+def swing_of_drake(card, path):
+    """Positions (41, 3) by its simulator."""
+    pytest.importorskip("pydrake")
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import MultibodyPlant
+    from pydrake.systems.analysis import Simulator
+
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(path))
+    card.set_joints(plant)
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    card.set_bodies(plant, context)
+    plant.get_actuation_input_port().FixValue(context, np.zeros(3))
+    plant.SetPositions(context, START)
+    simulator = Simulator(plant, context)
+
+    def step():
+        simulator.AdvanceTo(context.get_time() + STEP)
+
+    return sampled(lambda: plant.GetPositions(context), step)
+
+
+def swing_of_newton(card, path):
+    """Positions (41, 3) by its MuJoCo solver."""
+    newton = pytest.importorskip("newton")
+    builder = newton.ModelBuilder()
+    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
+    builder.add_mjcf(str(path))
+    card.set_model(builder)
+    builder.joint_q[:] = START.tolist()
+    model = builder.finalize(device="cpu")
+    model.set_gravity(card.GRAVITY)
+    solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
+    solver.mj_model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    solver.mj_model.opt.disableflags |= int(FREE)
+    states = [model.state(), model.state()]
+    newton.eval_fk(model, states[0].joint_q, states[0].joint_qd, states[0])
+
+    def step():
+        solver.step(*states, model.control(), None, STEP)
+        states.reverse()
+
+    return sampled(lambda: states[0].joint_q.numpy(), step)
+
+
+def swing_of_mjlab(card, path):
+    """Positions (41, 3) of the entity's model in MuJoCo itself."""
+    entity = pytest.importorskip("mjlab.entity")
+
+    def spec():
+        spec = card.edited(mujoco.MjSpec.from_file(str(path)))
+        for actuator in [*spec.actuators]:
+            spec.delete(actuator)
+        return spec
+
+    articulation = entity.EntityArticulationInfoCfg(actuators=card.motors())
+    cfg = entity.EntityCfg(spec_fn=spec, articulation=articulation)
+    model = cfg.build().spec.compile()
+    assert_allclose(model.actuator_forcerange, [(-40.0, 40.0), (-20.0, 20.0)])
+    model.opt.timestep = STEP
+    model.opt.gravity = card.GRAVITY
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.disableflags |= int(FREE)
+    data = mujoco.MjData(model)
+    data.qpos[:] = START
+    return sampled(lambda: data.qpos, lambda: mujoco.mj_step(model, data))
+
+
+def swing_of_genesis(card, path):
+    """Positions (41, 3) by its rigid solver."""
+    genesis = pytest.importorskip("genesis")
+    genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
+    options = genesis.options
+    scene = genesis.Scene(
+        show_viewer=False,
+        sim_options=options.SimOptions(dt=STEP, gravity=card.GRAVITY),
+        rigid_options=options.RigidOptions(enable_collision=False),
+    )
+    arm = scene.add_entity(genesis.morphs.MJCF(file=str(path)))
+    scene.build()
+    card.set_entity(arm)
+    arm.set_dofs_position(START)
+    arm.control_dofs_force(np.zeros(3))
+    return sampled(lambda: arm.get_dofs_position().numpy(), scene.step)
+
+
+SWINGS = {
+    # Largest difference [rad]; whether dry friction is part of it.
+    "pinocchio": (swing_of_pinocchio, 1e-3, False),
+    "drake": (swing_of_drake, 1e-3, False),
+    "newton": (swing_of_newton, 1e-4, True),
+    "mjlab": (swing_of_mjlab, 1e-6, True),
+    "genesis": (swing_of_genesis, 1e-2, True),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("simulator", [*SWINGS])
+def test_the_arm_swings_there_as_the_written_model_does(robot, output, simulator):
+    """The library reads the ORIGINAL model; all that differs comes from the card."""
+    swing, tolerance, with_dry_friction = SWINGS[simulator]
+    path = output / SIMULATOR_CARD_NAMES[simulator]
+    pytest.importorskip({"drake": "pydrake"}.get(simulator, simulator))
+    card = module_of(path)
+    expected = swing_of_mujoco(output / "updated_model.xml", with_dry_friction)
+    assert np.all(np.ptp(expected[:, :2], axis=0) > 0.3)
+    assert_allclose(swing(card, robot.path), expected, rtol=0, atol=tolerance)
