@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from robot_sysid.cli import main
-from robot_sysid.commands import example, identify, log, motors, report
+from robot_sysid.commands import check, example, identify, log, motors, report
 
 COMMANDS = {
     command.name: command
-    for module in (identify, log, report, example, motors)
+    for module in (identify, log, report, check, example, motors)
     for command in module.COMMANDS
 }
 """Every command by its name."""

@@ -15,6 +15,7 @@ _NAMES = {
         "Frame",
         "Log",
         "Regressor",
+        "check",
         "identify",
         "joint_torque_regressor",
         "payload",
@@ -44,6 +45,8 @@ _NAMES = {
     ),
     "estimate.options": ("Priors",),
     "parser": ("load_robot_model",),
+    "pipeline.changes": ("Change",),
+    "pipeline.comparison": ("Check",),
     "pipeline.motions": ("CheckedPlan",),
     "records.arm": (
         "ArmLink",

@@ -2,6 +2,7 @@ from robot_sysid.api import motors as motors
 from robot_sysid.api.calls import Frame as Frame
 from robot_sysid.api.calls import Log as Log
 from robot_sysid.api.calls import Regressor as Regressor
+from robot_sysid.api.calls import check as check
 from robot_sysid.api.calls import identify as identify
 from robot_sysid.api.calls import joint_torque_regressor as joint_torque_regressor
 from robot_sysid.api.calls import payload as payload
@@ -27,6 +28,8 @@ from robot_sysid.errors import SimulationError as SimulationError
 from robot_sysid.errors import SysidError as SysidError
 from robot_sysid.estimate.options import Priors as Priors
 from robot_sysid.parser import load_robot_model as load_robot_model
+from robot_sysid.pipeline.changes import Change as Change
+from robot_sysid.pipeline.comparison import Check as Check
 from robot_sysid.pipeline.motions import CheckedPlan as CheckedPlan
 from robot_sysid.records.arm import ArmLink as ArmLink
 from robot_sysid.records.arm import InertialParameters as InertialParameters

@@ -16,25 +16,25 @@ from pathlib import Path
 from rigs.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 3889,
-    "robot_sysid/commands": 10619,
+    "robot_sysid/api": 3999,
+    "robot_sysid/commands": 10996,
     "robot_sysid/damiao": 32392,
     "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
-    "robot_sysid/estimate": 29131,
+    "robot_sysid/estimate": 29476,
     "robot_sysid/logs": 25399,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 7147,
-    "robot_sysid/records": 10557,
+    "robot_sysid/pipeline": 9331,
+    "robot_sysid/records": 10614,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11025,
     "robot_sysid/servo": 7379,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
-    "robot_sysid": 11103,
-    "tests": 227247,
+    "robot_sysid": 11119,
+    "tests": 228541,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -32,6 +32,7 @@ from robot_sysid.logs.titles import read_title
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
+from robot_sysid.pipeline.comparison import Check, check_log
 from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.planning import predict_plan
 from robot_sysid.pipeline.stages import load_arm
@@ -254,6 +255,34 @@ def payload(
     """
     values = {**options, "empty": _log_sources(empty), "loaded": _log_sources(loaded)}
     return _run_quietly(PayloadConfig.of(path_of(model), **values))
+
+
+@with_keywords(
+    (
+        *options_of_all(ModelOptions, only=("mesh_dir", "joint", "mass_scale")),
+        *options_of_all(LogOptions),
+    )
+)
+def check(model: Model, log: Log, since: Log, **options: Any) -> Check:
+    """Tell whether an arm is what it was: its load, friction, zeros and torque sensors.
+
+    Args:
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
+        log: of any motion, such as of a task, see ``robot_sysid.Log``.
+        since: an earlier log, or the path of the folder of a run of ``identify`` on it.
+        options: what ``ModelOptions`` and ``LogOptions`` take; those of logs are for ``log`` alone.
+
+    Returns:
+        What has changed, whether anything has, and from which size on it would have been named.
+
+    Raises:
+        InputError: a log cannot be used, is of another arm, or shows nothing.
+        SysidError: there is a doubt that is not accepted.
+    """
+    values = {**options, "measurements": (_log_source(log),)}
+    with _quietly() as notes:
+        config = IdentifyConfig.of(path_of(model), **values)
+        return check_log(config, _log_source(since), notes)
 
 
 @dataclass(frozen=True, repr=False)

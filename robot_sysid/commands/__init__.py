@@ -24,6 +24,7 @@ COMMANDS = {
     "report": "report",
     "plan": "identify",
     "payload": "identify",
+    "check": "check",
     "motors": "motors",
     "example": "example",
 }
@@ -35,6 +36,7 @@ _USES = {
     "report DIR": "draw the result of a run as a page",
     "plan MODEL": "plan a motion to record, where the log shows too little",
     "payload MODEL --empty LOG --loaded LOG": "weigh what is bolted on, by difference",
+    "check MODEL LOG --since EARLIER": "tell whether the arm is what it was at an earlier log",
     "motors simulate|check|play FILE": "rehearse and play a planned motion on Damiao motors",
     "motors setup|map|monitor|hold": "set Damiao motors up, watch them, hold or float an arm",
     "MODEL": "test the identification on the model's own simulation",
@@ -53,8 +55,8 @@ _REPLACEMENTS = {code: "?" for code in _CONTROL_CODES if chr(code) != "\t"}
 # terminal; the first beginning that fits counts.
 _COLOURS = {
     31: ("Not usable", "robot-sysid: error", "STOP"),
-    33: ("Usable, but", "Usable (", "Usable for", "note", "doubts"),
-    32: ("Usable", "Self-test passed"),
+    33: ("Usable, but", "Usable (", "Usable for", "note", "doubts", "Changed"),
+    32: ("Usable", "Self-test passed", "Unchanged"),
     1: ("Use this file", "Copy into", "Next"),
 }
 COMMAND_STARTS = ("  robot-sysid ", "  pip install ")

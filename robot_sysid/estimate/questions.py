@@ -20,10 +20,13 @@ from robot_sysid.estimate.terms import (
     FURTHER_FRICTION,
     LAST_LINK,
     LINKS,
+    OFFSET_DRIFT,
     PAYLOAD,
+    PAYLOAD_NAMES,
     SCALE_DRIFT,
     SCALES,
     TILT,
+    ZERO_DRIFT,
     ZEROS,
     ArmTerms,
     Prior,
@@ -54,6 +57,8 @@ class Question:
         options: prior uncertainties of the arm, and the other options of the estimate.
         loaded: whether some recordings carry a payload, whose parameters are estimated.
         drifts: whether to estimate a drift of friction from the first to the last recording.
+        changed: of two sides that are compared, names of the drifts and of the payload's
+            parameters that may have changed by more than usual; None where no sides are compared.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None for the
@@ -65,6 +70,7 @@ class Question:
     options: EstimationOptions
     loaded: bool = False
     drifts: bool = False
+    changed: tuple[str, ...] | None = None
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
     dry: tuple[float, ...] | None = None
@@ -89,7 +95,8 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     terms = [arm.terms[LAST_LINK]]
     if LINKS in arm.terms and priors.link > 0.0:
         terms.append(links_term(arm, question))
-    if question.loaded:
+    changed = question.changed
+    if question.loaded and (changed is None or PAYLOAD_NAMES[0] in changed):
         terms.append(_payload(arm, question))
     for name in question.friction:
         # The square-root term bends the curve of friction: only their sum has to oppose the motion.
@@ -98,12 +105,12 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     terms += _unknown_friction(arm, question, torque)
     terms += [arm.terms[motor.name] for motor in arm.motors]
     scale = scale_spread(arm, options, question.loaded)
+    drifts = _drift_sizes(arm, question, torque)
     sizes: dict[str, Array | float] = {
         SCALES: scale,
         # Priors are in milliradians and milliseconds.
         ZEROS: 1e-3 * priors.zero,
-        DRIFT: usual_errors.FRICTION_DRIFT * question.drifts,
-        SCALE_DRIFT: PER_CENT * usual_errors.SCALE_DRIFT * question.loaded,
+        **drifts,
         TILT: np.radians(priors.gravity),
         DELAY: 1e-3 * priors.delay,
     }
@@ -114,6 +121,36 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
                 prior = without_common(prior)
             terms.append(replace(arm.terms[cause], prior=prior))
     return terms
+
+
+def _drift_sizes(
+    arm: ArmTerms, question: Question, torque: Array
+) -> dict[str, Array | float]:
+    """Return how far each drift may be from the middle of the recordings to an end.
+
+    Of two sides that are compared, all drift as they usually do, but those that may have changed.
+    """
+    friction = usual_errors.FRICTION_DRIFT
+    scale = PER_CENT * usual_errors.SCALE_DRIFT
+    if question.changed is None:
+        return {DRIFT: friction * question.drifts, SCALE_DRIFT: scale * question.loaded}
+    # Sensors err by a share of what the strongest joint has, whatever their own joint carries.
+    weaker = np.max(torque) / np.maximum(torque, 1e-9)
+    usual: dict[str, Array | float] = {
+        DRIFT: 0.5 * usual_errors.FRICTION_CHANGE,
+        SCALE_DRIFT: scale * weaker,
+        ZERO_DRIFT: 1e-3 * usual_errors.ZERO_DRIFT,
+        OFFSET_DRIFT: usual_errors.OFFSET_DRIFT * torque,
+    }
+    largest = {DRIFT: friction, SCALE_DRIFT: usual_errors.LARGEST_DRIFT * scale}
+    sizes: dict[str, Array | float] = {}
+    for cause, size in usual.items():
+        if cause not in arm.terms:
+            continue
+        is_changed = np.isin(arm.terms[cause].names, question.changed)
+        changed = largest.get(cause, usual_errors.LARGEST_DRIFT * size)
+        sizes[cause] = np.where(is_changed, np.maximum(changed, size), size)
+    return sizes
 
 
 def without_common(prior: Prior) -> Prior:

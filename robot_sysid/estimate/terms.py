@@ -57,6 +57,8 @@ TILT = "gravity"
 DELAY = "delay"
 DRIFT = "drift of friction"
 SCALE_DRIFT = "drift of torque scale"
+ZERO_DRIFT = "drift of zero"
+OFFSET_DRIFT = "drift of torque offset"
 MOTORS = "couplings"
 PAYLOAD_NAMES = keys_of(of_body("payload"))
 """Names of the ten inertial parameters of the payload."""
@@ -277,13 +279,21 @@ class ArmTerms:
             reference = TERMS[name].stated(robot)[self.indices]
             yield Term(FRICTION, own, columns, reference=reference)
         yield from map(self.motor, self.motors)
-        yield Term(SCALES, self._of_joints(parameters.SCALE), self._scales)
+        scales = self._of_joints(parameters.SCALE)
+        yield Term(SCALES, scales, self._scales)
         zeros = self._of_joints(parameters.ZERO, range(robot.n_joints))
         yield Term(ZEROS, zeros, self._zeros)
         if loaded:
             yield Term(DRIFT, self._of_joints(parameters.DRIFT), self._drift)
-            drifts = self._of_joints(parameters.SCALE_DRIFT)
-            yield Term(SCALE_DRIFT, drifts, self._scale_drift)
+            offsets = self._of_joints(OFFSET)
+            drifting: tuple[tuple[str, tuple[Parameter, ...], Columns], ...] = (
+                (SCALE_DRIFT, scales, self._scales),
+                (ZERO_DRIFT, zeros, self._zeros),
+                (OFFSET_DRIFT, offsets, partial(self._friction, OFFSET.name)),
+            )
+            for cause, of_joints, constant in drifting:
+                drifts = parameters.drift_of(of_joints)
+                yield Term(cause, drifts, partial(self._drifting, constant))
         if self.has_gravity:
             yield Term(TILT, parameters.TILTS, self._tilt)
         yield Term(DELAY, (parameters.DELAY,), self._delay)
@@ -457,15 +467,15 @@ class ArmTerms:
         """Return the columns (m, J, J) of torque scales."""
         return self._per_joint(self.links_torque(rows, point))
 
-    def _scale_drift(self, rows: Rows, point: Point) -> Array:
-        """Return the columns (m, J, J) of torque scales' drift from recording to recording."""
-        return rows.recording.order * self._scales(rows, point)
-
     def _zeros(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
         moves = rows.moves(self.robot, point.gravity)
         slopes = moves.slopes(point.carried(rows.is_loaded), rows.motion.qd)
         return -slopes[:, self.indices]
+
+    def _drifting(self, columns: Columns, rows: Rows, point: Point) -> Array:
+        """Return columns (m, J, k) of a drift from recording to recording."""
+        return rows.recording.order * columns(rows, point)
 
     def _tilt(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 2) of gravity turned about two horizontal axes [N m/rad]."""

@@ -1,44 +1,138 @@
-"""What has changed between two runs of one arm: one fit of both runs' logs.
+"""Whether an arm is what it was: two runs, or a log since an earlier one, in one fit.
 
-Errors that both runs share, such as those of the other links and of torque scales, are there once.
-What came on at the last link is the payload of the second run's logs, and friction drifts from one
-run to the other. Shapes: J joints.
+Errors that both sides share, such as those of the other links and of torque scales, are there once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-
-import numpy as np
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 from robot_sysid.config import IdentifyConfig, with_scale_prior
-from robot_sysid.diagnosis.gate import judge, usable
-from robot_sysid.errors import InputError
-from robot_sysid.estimate.fit import Fit
+from robot_sysid.diagnosis import Finding
+from robot_sysid.diagnosis.gate import judge, require_acceptable, usable
+from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.terms import DRIFT, PAYLOAD_NAMES
+from robot_sysid.estimate.terms import ArmTerms
+from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
+from robot_sysid.pipeline.changes import (
+    ALL_JOINTS,
+    DIFFERS,
+    UNKNOWN,
+    Change,
+    change_question,
+    changes,
+)
 from robot_sysid.pipeline.stages import load_arm
+from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.file_access import RUN_NAME, read_toml
 from robot_sysid.records.messages import Progress, with_error
-from robot_sysid.records.parameters import INERTIAL
-from robot_sysid.records.usual_errors import FRICTION_CHANGE
-from robot_sysid.report.runs import Run
-from robot_sysid.results.record import Quantity
+from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
 
-ALL_JOINTS = "all joints alike"
-"""What a change of friction is of that is the same in all joints."""
-DIFFERS = "differs"
-"""Reason of a row in which the runs differ, beyond errors and what friction does in a day."""
+# Checks whose doubts are of what both sides share, which is no change, or of what is compared.
+_SHARED = ("torque-scale", "zero")
+# Name of a row to what is compared, in words.
+_WORDS = {
+    "m": "load",
+    "friction": "friction",
+    "zero": "zero",
+    "scale": "torque scale",
+    "offset": "torque offset",
+}
+# Name of a row to the sensor whose reading it is.
+_READINGS = {
+    "zero": "the position",
+    "scale": "the torque",
+    "offset": "whatever the motion, the torque",
+}
+# Name of a row that has changed to what to do.
+_REMEDIES = {
+    "m": "take the load off, or weigh it (payload) and use the model with it",
+    "zero": "set the joint's zero anew",
+    "scale": "calibrate the joint's torque, and look after its gear ratio and motor",
+    "offset": "set the torque sensor's zero anew, and look for a spring or a hose",
+    "friction": "record again when the gears are as warm as before; if it stays, look after brake, "
+    "grease and belt, and identify the arm again",
+}
 
 
-def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
-    """Return what may have changed from a first run to a second: the last link, friction.
+@dataclass(frozen=True)
+class Check:
+    """Whether an arm is what it was.
 
-    A row is a number of the second run less that of the first, of friction in per cent of the first
-    run's; its reason is ``DIFFERS`` where the runs do.
+    Attributes:
+        log: name of the log that was checked.
+        since: names of the earlier logs.
+        has_changed: whether anything differs, beyond errors and what is usual from day to day.
+        changes: the numbers that were compared.
+        verdict: what differs and what to do; or from which size on a change would have been named,
+            and what the logs do not show.
+    """
+
+    log: str
+    since: tuple[str, ...]
+    has_changed: bool
+    changes: tuple[Change, ...]
+    verdict: tuple[str, ...]
+
+
+def check_log(config: IdentifyConfig, since: Any, progress: Progress) -> Check:
+    """Return whether an arm is what it was, by a log of any motion and an earlier one.
+
+    Args:
+        config: names the model and the log, and says how that is read.
+        since: the earlier log, as ``open_log`` takes it, or the folder of a run on earlier logs,
+            with whose options these are read.
+        progress: receives stages.
+
+    Raises:
+        InputError: a log cannot be used or is none of this arm, or both show nothing.
+        SysidError: there is a doubt that is not accepted.
+    """
+    robot = load_arm(config, progress)
+    is_run = isinstance(since, Path) and (since / RUN_NAME).is_file()
+    try:
+        # Options of the command are those of the log alone: an earlier log has its own.
+        earlier = replace(config, log=FittedLogOptions(measurements=(since,)))
+        if is_run:
+            (earlier,) = _configs_of([load_run(since)])
+        first = _read(robot, earlier, progress)
+        if not is_run:
+            found = _found_alone(robot, first, earlier)
+            require_acceptable(first, found, (*config.log.accept, *_SHARED))
+    except InputError as error:
+        raise _of_earlier(error, config.model.path, since) from None
+    second = _read(robot, config, progress)
+    # Both sides with one name would be one log.
+    first = [replace(log, name=f"{log.name} ({option_name('since')})") for log in first]
+    wrong = _found_alone(robot, second, config)
+    try:
+        rows = compare_logs(robot, (first, second), (earlier, config), progress)
+    except SysidError:
+        # What is wrong with the log alone says more.
+        require_acceptable(second, wrong, config.log.accept)
+        raise
+    changed = {row.name for row in rows if row.reason == DIFFERS}
+    if changed == {"zero"}:
+        # It is what was asked.
+        wrong = [each for each in wrong if each.about != "zero"]
+    if changed:
+        require_acceptable(second, wrong, (*config.log.accept, *_SHARED))
+    if all(row.reason == UNKNOWN for row in rows):
+        raise InputError(
+            f"{second[0].name} shows nothing that could have changed: its joints hardly move, or "
+            "those of the earlier log; record a motion of all joints"
+        )
+    names = tuple(log.name for log in first)
+    return Check(second[0].name, names, bool(changed), tuple(rows), verdict_on(rows))
+
+
+def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Change]:
+    """Return what may have changed from a first run to a second.
 
     Args:
         runs: two runs.
@@ -46,103 +140,152 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
 
     Raises:
         InputError: there is no common fit of the two runs; the message says why.
+        SysidError: there is a doubt that the runs have not accepted.
     """
-    if any(not run.content["logs"] or run.content["payload"] for run in runs):
-        raise InputError("only identifications from logs have a common fit")
     if len({run.content["model"]["sha256"] for run in runs}) > 1:
         raise InputError("the runs are of different model files")
-    configs = [IdentifyConfig.of(**read_toml(run.folder / RUN_NAME)) for run in runs]
+    configs = _configs_of(runs)
     for key in ("mass_scale", "gravity"):
         if len({getattr(config.model, key) for config in configs}) > 1:
             raise InputError(f"the runs differ in {option_name(key)}")
     robot = load_arm(configs[0], Progress())
     if robot.sha256 != runs[0].content["model"]["sha256"]:
         raise InputError(f"{robot.path} has changed since the runs")
-    logs = []
-    orders: list[float] = []
-    accepted: set[str] = set()
-    for config, order in zip(configs, (-1.0, 1.0)):
-        accepted |= {*config.log.accept}
-        for path in config.log.measurements:
-            progress.stage(f"Reading {path}...")
-        of_run = open_logs(robot, config.log.measurements, config.log)
-        logs += of_run
-        orders += [order] * len(of_run)
+    sides = [_read(robot, config, progress) for config in configs]
+    return compare_logs(robot, sides, configs, progress)
+
+
+def _configs_of(runs: Sequence[Run]) -> list[IdentifyConfig]:
+    """Return the options of runs on logs, and the paths of these."""
+    if any(not run.content["logs"] or run.content["payload"] for run in runs):
+        raise InputError("only identifications from logs have a common fit")
+    configs = []
+    for run in runs:
+        config = IdentifyConfig.of(**read_toml(run.folder / RUN_NAME))
+        # The options' own paths are relative to where the run was started.
+        logs = tuple(map(Path, run.content["logs"]))
+        configs.append(replace(config, log=replace(config.log, measurements=logs)))
+    return configs
+
+
+def _read(
+    robot: RobotModel, config: IdentifyConfig, progress: Progress
+) -> list[Recording]:
+    """Return the logs of one side."""
+    return open_logs(robot, config.log.measurements, config.log, progress, "log")
+
+
+def _found_alone(
+    robot: RobotModel, logs: Sequence[Recording], config: IdentifyConfig
+) -> list[Finding]:
+    """Return what is wrong with the logs of one side, whatever the other side is."""
+    estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
+    judged = judge(robot, logs, Question(estimation), Progress())
+    return _without_factors(judged.findings)
+
+
+def _without_factors(found: Iterable[Finding]) -> list[Finding]:
+    """Return findings but for a factor on all torques or masses: no change is one."""
+    return [f for f in found if all(key != "--mass-scale" for key, *_ in f.options)]
+
+
+def _of_earlier(error: InputError, model: Path, since: Any) -> InputError:
+    """Return the error of an earlier log with what to do about it."""
+    takes = f"{option_name('since')} takes an earlier log, or the folder of a run on it"
+    text = f"{takes}: {error}"
+    if isinstance(since, Path) and error.options:
+        text += "; identify the arm from it with its options, and give the folder of that run"
+        error.command_lines = [
+            ["identify", str(model), str(since), *option] for option in error.options
+        ]
+    error.args = (text,)
+    return error
+
+
+def compare_logs(
+    robot: RobotModel,
+    sides: Sequence[Sequence[Recording]],
+    configs: Sequence[IdentifyConfig],
+    progress: Progress,
+) -> list[Change]:
+    """Return what may have changed from the logs of one side to those of the other.
+
+    Args:
+        robot: the arm.
+        sides: logs of the first state of the arm, and of the second.
+        configs: options of each side; those of the first side's fit count.
+        progress: receives stages.
+    """
+    logs = [*sides[0], *sides[1]]
     refuse_repeated_logs(logs)
-    progress.stage("Fitting both runs at once...")
+    progress.stage("Fitting both at once...")
     first = configs[0]
     estimation = with_scale_prior(first.estimation, first.log, robot.joint_names)
     estimation = replace(estimation, torques="chain", no_friction=False)
-    question = Question(estimation, loaded=True, drifts=True)
-    is_loaded = [order > 0.0 for order in orders]
+    question = change_question(ArmTerms(robot, loaded=True), estimation)
+    is_loaded = [False] * len(sides[0]) + [True] * len(sides[1])
+    orders = [1.0 if loaded else -1.0 for loaded in is_loaded]
     judged = judge(robot, logs, question, progress, is_loaded, orders)
+    accepted = {*_SHARED}
+    for config in configs:
+        accepted |= {*config.log.accept}
+    judged = replace(judged, findings=tuple(_without_factors(judged.findings)))
     fitted, _ = usable(judged, accepted, progress)
-    # What came off is no possible body.
-    return list(changes(replace(fitted, values=fitted.free)))
+    return changes(fitted)
 
 
-def changes(fitted: Fit) -> Iterator[Quantity]:
-    """Yield what may have changed, from the fit of two runs."""
-    # Standard errors beyond which two runs differ: three miss 30 % more friction of a simulated
-    # joint, two name a joint between two logs of a KUKA LWR4+.
-    sure = 2.5
-    at = fitted.at(PAYLOAD_NAMES[:4])
-    values, errors = fitted.free[at], fitted.errors[at]
-    inverse = np.linalg.pinv(fitted.covariance[np.ix_(at, at)], hermitian=True)
-    # All four at once, as a normal number (Fisher's approximation of chi-square).
-    distance = np.sqrt(2.0 * values @ inverse @ values) - np.sqrt(2.0 * len(at) - 1.0)
-    body = fitted.arm.robot.body_name
-    for entry, value, error in zip(INERTIAL, values, errors):
-        reason = DIFFERS if min(distance, abs(value) / error) > sure else ""
-        yield Quantity(entry.name, body, entry.unit, None, value, error, reason=reason)
-    joints = fitted.arm.joints
-    at = fitted.at(fitted.arm.terms[DRIFT].names)
-    # Friction is 1 - d in the first run and 1 + d in the second: the logarithm of their ratio.
-    logarithms = 2.0 * np.arctanh(np.clip(fitted.free[at], -0.9, 0.9))
-    errors = 2.0 * fitted.errors[at]
-    spreads = np.hypot(errors, FRICTION_CHANGE)
-    # A median, because one joint does not make a change of all.
-    common = float(np.median(logarithms))
-    error = float(np.sqrt(np.pi / 2.0 / np.sum(spreads**-2.0)))
-    is_common = abs(common) > sure * error
-    yield _friction(ALL_JOINTS, common, error, is_common)
-    apart = np.abs(logarithms - common * is_common) > sure * spreads
-    for joint, logarithm, error, differs in zip(joints, logarithms, errors, apart):
-        yield _friction(joint, logarithm, error, differs)
-
-
-def _friction(of: str, logarithm: float, error: float, differs: bool) -> Quantity:
-    """Return a change of friction from the logarithm of the ratio."""
-    ratio = float(np.exp(logarithm))
-    change = 100.0 * (ratio - 1.0)
-    reason = DIFFERS if differs else ""
-    return Quantity(
-        "friction", of, "%", None, change, 100.0 * ratio * error, reason=reason
-    )
-
-
-def sentences(rows: Sequence[Quantity]) -> list[str]:
-    """Return what differs, a sentence each; or one that says how small the differences are."""
-    # The first of what has changed of a body or joint: a mass that came on has first moments, too.
-    found = {row.of: _sentence(row) for row in reversed(rows) if row.reason}
+def sentences(rows: Sequence[Change]) -> list[str]:
+    """Return what differs, a sentence each; or from which sizes on a difference would be named."""
+    # The first of what has changed of a body: a mass that came on has first moments, too.
+    found: dict[tuple[str, str], str] = {}
+    for row in rows:
+        if row.reason == DIFFERS:
+            kind = row.name if row.name in _WORDS else "m"
+            found.setdefault((row.of, kind), _sentence(row))
     if found:
-        return list(found.values())[::-1]
-    mass = with_error(rows[0].value, rows[0].error, rows[0].unit)
-    friction = max(row.error or 0.0 for row in rows if row.name == "friction")
-    return [
-        f"no difference beyond the errors: mass {mass}, friction of each joint within "
-        f"± {max(friction, 100.0 * FRICTION_CHANGE):.0f} %"
-    ]
+        return list(found.values())
+    least: dict[tuple[str, str], list[float]] = {}
+    unknown: dict[str, list[str]] = {}
+    for row in rows:
+        if row.name not in _WORDS or row.of == ALL_JOINTS:
+            continue
+        if row.reason == UNKNOWN:
+            unknown.setdefault(_WORDS[row.name], []).append(row.of)
+        else:
+            least.setdefault((_WORDS[row.name], row.unit), []).append(row.least)
+    sizes = []
+    for (words, unit), values in least.items():
+        span = dict.fromkeys(f"{size:.2g}" for size in (min(values), max(values)))
+        sizes.append(f"{' to '.join(span)} {unit} of {words}")
+    named = "named from these sizes on, which differ from joint to joint"
+    lines = [f"no difference beyond the errors; one is {named}: {', '.join(sizes)}"]
+    if unknown:
+        parts = [f"{words} of {', '.join(of)}" for words, of in unknown.items()]
+        lines.append(f"not shown by these logs: {'; '.join(parts)}")
+    return lines
 
 
-def _sentence(row: Quantity) -> str:
+def verdict_on(rows: Sequence[Change]) -> tuple[str, ...]:
+    """Return what has changed and what to do; or that nothing has, as far as the logs show."""
+    lines = sentences(rows)
+    changed = [row.name for row in rows if row.reason == DIFFERS]
+    if not changed:
+        return (f"Unchanged: {lines[0]}", *lines[1:])
+    remedies = dict.fromkeys(_REMEDIES.get(name, _REMEDIES["m"]) for name in changed)
+    return f"Changed: {'; '.join(lines)}", f"What to do: {'; '.join(remedies)}"
+
+
+def _sentence(row: Change) -> str:
     """Return what has changed, in words."""
     size = with_error(abs(row.value), row.error, row.unit)
-    if row.unit == "%":
-        way = "higher" if row.value > 0.0 else "lower"
-        return f"the friction of {row.of} is {size} {way}"
-    if row.unit == "kg":
-        return f"{size} came {'on' if row.value > 0.0 else 'off'} at {row.of}"
+    is_more = row.value > 0.0
+    if row.name == "friction":
+        return f"the friction of {row.of} is {size} {'higher' if is_more else 'lower'}"
+    if row.name == "m":
+        return f"{size} came {'on' if is_more else 'off'} at {row.of}"
+    if row.name in _READINGS:
+        way = "more" if is_more else "less"
+        return f"{_READINGS[row.name]} of {row.of} reads {size} {way}"
     moved = with_error(row.value, row.error, row.unit)
     return (
         f"mass times centre of mass of {row.of} along {row.name[1:]} changed by {moved}"

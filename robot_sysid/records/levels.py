@@ -7,3 +7,5 @@ SURE = 3.0
 """Standard errors from which a number is significant where many are compared."""
 INTERVAL = 2.0
 """Standard errors of a printed ±: the interval that holds a number with 95 %."""
+FALSE_ALARMS = 0.01
+"""Share of pairs of logs of an unchanged arm in which a change is named, all numbers together."""

@@ -102,6 +102,16 @@ def keys_of(parameters: Iterable[Parameter]) -> tuple[str, ...]:
     return tuple(parameter.key for parameter in parameters)
 
 
+def drift_of(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """Return the changes of parameters from the middle of several recordings to the last."""
+    return tuple(
+        Parameter(
+            f"{each.name}_drift", units=each.units, of=each.of, is_slide=each.is_slide
+        )
+        for each in parameters
+    )
+
+
 INERTIAL = (
     Parameter("m", "mass", ("kg",)),
     *(Parameter(f"h{axis}", f"CoM moment {axis}", ("kg·m",)) for axis in "xyz"),
@@ -117,8 +127,6 @@ def of_body(name: str) -> tuple[Parameter, ...]:
 
 SCALE = Parameter("scale", "error of the torque scale")
 """Share by which a torque reads too large."""
-SCALE_DRIFT = Parameter("scale_drift")
-"""Change of the torque scale from the middle of several recordings to the last."""
 DRIFT = Parameter("drift")
 """Change of friction from the middle of several recordings to the last, as a share."""
 ZERO = Parameter("zero", "encoder zero", ("rad", "m"))

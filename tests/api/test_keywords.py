@@ -110,7 +110,7 @@ def test_texts_name_options_for_their_reader():
 
 KEYS = {
     key.rstrip("_")
-    for function in (*FUNCTIONS, rs.motors.play, rs.read_log)
+    for function in (*FUNCTIONS, rs.check, rs.motors.play, rs.read_log)
     for key in inspect.signature(function).parameters
 }
 

@@ -132,7 +132,8 @@ def test_without_arguments_the_commands_are_printed_in_the_order_of_their_use(ca
     assert printed.err == "" and "order in which you need them" in heading
     names = [line.split()[0] for line in lines]
     assert list(dict.fromkeys(names)) == [
-        *("log", "identify", "report", "plan", "payload", "motors", "MODEL", "example")
+        *("log", "identify", "report", "plan", "payload", "check", "motors"),
+        *("MODEL", "example"),
     ]
     assert set(commands.COMMANDS) == {*names} - {"MODEL"} and "--help" in end
     full_help = help_lines(["--help"], capsys)

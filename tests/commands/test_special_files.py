@@ -31,6 +31,7 @@ BASES = {
     "identify": "arm.xml log.csv --output-dir out",
     "payload": "arm.xml --empty log.csv --loaded log.csv --output-dir out",
     "log": "log.csv arm.xml",
+    "check": "arm.xml log.csv --since log.csv",
     "report": "out",
     "example": "kinova",
     "motors check": "motion.csv --channel can0 --model two.xml",

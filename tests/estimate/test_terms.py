@@ -37,6 +37,7 @@ LINEARISED = (
     "scale",
     "scale_drift",
     "zero",
+    "zero_drift",
     "load",
     "drift",
     "tilt_1",
@@ -96,12 +97,15 @@ def torque_of(arm, motion, values, gravity, loaded):
     value_of = {**dict.fromkeys(arm.names, 0.0), **values}
     angles = np.array([value_of.get("tilt_1", 0.0), value_of.get("tilt_2", 0.0)])
     model.opt.gravity[:] = turn_gravity(gravity, angles)
-    zero = np.array([value_of[f"zero[{name}]"] for name in robot.joint_names])
+    zero = np.zeros(robot.n_joints)
+    for j, name in enumerate(robot.joint_names):
+        zero[j] = value_of[f"zero[{name}]"] + value_of[f"zero_drift[{name}]"] * PLACE
     rigid = ArmDynamics(robot, model).torque(motion.q - zero, motion.qd, motion.qdd)
     torque = np.zeros((len(rigid), len(arm.joints)))
     for row, (j, joint) in enumerate(zip(arm.indices, arm.joints)):
         scale = value_of[f"scale[{joint}]"] + value_of[f"scale_drift[{joint}]"] * PLACE
         torque[:, row] = (1.0 + scale) * rigid[:, j]
+        torque[:, row] += value_of[f"offset_drift[{joint}]"] * PLACE
         for term in set(arm.friction) & set(TERMS):
             qd = motion.qd[:, j]
             column = TERMS[term].torque(np.sign(qd), qd, motion.qdd[:, j], rigid[:, j])

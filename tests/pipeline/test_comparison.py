@@ -6,15 +6,25 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigs.core_fits import fit_recordings
 from rigs.measured_logs import XML, log_of
 from rigs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 from robot_sysid import spatial
+from robot_sysid.diagnosis.gate import Judged
 from robot_sysid.errors import InputError
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import comparison
-from robot_sysid.pipeline.comparison import ALL_JOINTS, changes, compare_runs, sentences
+from robot_sysid.pipeline.changes import (
+    ALL_JOINTS,
+    DIFFERS,
+    UNKNOWN,
+    change_question,
+    changes,
+)
+from robot_sysid.pipeline.comparison import compare_runs, sentences, verdict_on
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors, write_torque_scale
 
@@ -24,32 +34,52 @@ NOTHING = np.zeros(10)
 ONE = np.array([0.0, 0.0, 0.3, 0.0])
 
 
-def rows_of(seed, body=NOTHING, friction=0.0, swapped=False):
-    """Return the changes between two runs, their links 10 % off the model, in either order."""
-    arm = TrueArm(ROBOT, seed, model_error=0.1, payload=body)
+def rows_of(seed, body=NOTHING, friction=0.0, swapped=False, **after):
+    """Return what has changed between two runs, links 10 % off the model, in either order.
+
+    ``after`` are fields of ``WrongArm`` in the second run.
+    """
+    fields = {"offset": np.zeros(4)}
     recordings = []
     for is_second in (False, True):
         motion = wide_motion([seed, is_second], duration=12.0)
         name = f"log{is_second}"
+        if is_second:
+            fields.update(after)
+        arm = TrueArm(ROBOT, seed, 0.1, body, **fields)
         log = arm.recording(motion, is_second, float(is_second), name, friction)
+        log = replace(log, q=log.q + arm.zeros)
         is_later = is_second != swapped
         log = replace(log, is_loaded=is_later, order=1.0 if is_later else -1.0)
         recordings.append(add_noise(log, 0.05, [seed, is_second]))
-    fitted = fit_recordings(ROBOT, recordings, loaded=True, drifts=True)
-    return list(changes(replace(fitted, values=fitted.free)))
+    question = change_question(ArmTerms(ROBOT, loaded=True), EstimationOptions())
+    return changes(solved(ROBOT, recordings, question))
+
+
+def named(rows):
+    """Return what differs, its inertial parameters as one."""
+    of_body = {row.of for row in rows if row.name == "m"}
+    found = [row for row in rows if row.reason == DIFFERS]
+    return {(row.name if row.of not in of_body else "m", row.of) for row in found}
+
+
+def row_of(rows, name, of):
+    """Return the row of a number."""
+    (row,) = [row for row in rows if (row.name, row.of) == (name, of)]
+    return row
 
 
 def test_a_body_that_came_on_is_found_and_the_order_changes_its_sign():
     rows = rows_of(0, body=BODY)
     for row, true in zip(rows, BODY):
         assert abs(row.value - true) < 3.0 * row.error
-    assert rows[0].reason and rows[0].error < 0.05
-    assert {row.of for row in rows if row.reason} == {"link3"}
+    assert rows[0].error < 0.05 and rows[0].least < 0.15
+    assert named(rows) == {("m", "link3")}
     assert sentences(rows)[0].endswith("came on at link3") and len(sentences(rows)) == 1
     back = rows_of(0, body=BODY, swapped=True)
     for row, other in zip(rows, back):
         assert row.reason == other.reason
-        if row.unit == "%":
+        if row.name == "friction":
             assert (1.0 + row.value / 100.0) * (1.0 + other.value / 100.0) == (
                 pytest.approx(1.0, abs=0.002 * row.error)
             )
@@ -58,27 +88,55 @@ def test_a_body_that_came_on_is_found_and_the_order_changes_its_sign():
     assert sentences(back)[0].endswith("came off at link3")
 
 
-def test_one_joints_friction_is_found():
-    rows = rows_of(1, friction=ONE)
-    (row,) = [row for row in rows if row.reason]
-    assert row.of == "joint2" and abs(row.value - 30.0) < 3.0 * row.error < 30.0
+@pytest.mark.parametrize(
+    ("name", "joint", "value", "after", "words"),
+    [
+        ("zero", 1, 2.0, {"zeros": np.radians(2.0)}, "position of joint1 reads"),
+        ("friction", 2, 70.0, {}, "friction of joint2 is"),
+        pytest.param(
+            *("scale", 2, 10.0, {"scales": 0.1}, "torque of joint2 reads"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            *("offset", 2, -1.5, {"offset": -1.5}, "torque of joint2 reads"),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_one_joints_change_is_found_with_its_value_and_nothing_else(
+    name, joint, value, after, words
+):
+    usual = {"zeros": 0.0, "scales": 1.0, "offset": 0.0}
+    own = np.eye(4)[joint]
+    fields = {key: usual[key] + size * own for key, size in after.items()}
+    friction = 0.01 * value * own if name == "friction" else 0.0
+    rows = rows_of(1, NOTHING, friction, False, **fields)
+    assert named(rows) == {(name, f"joint{joint}")}
+    row = row_of(rows, name, f"joint{joint}")
+    assert abs(row.value - value) < max(4.0 * row.error, 0.1 * abs(value))
+    assert row.least < abs(value)
     (sentence,) = sentences(rows)
-    assert "the friction of joint2 is" in sentence and sentence.endswith("higher")
+    assert words in sentence
+    assert sentence.endswith(("higher", "more") if value > 0.0 else "less")
+    assert verdict_on(rows)[0] == f"Changed: {sentence}"
 
 
 def test_a_change_of_all_joints_is_said_once():
     rows = rows_of(2, friction=-0.25)
-    (row,) = [row for row in rows if row.reason]
-    assert row.of == ALL_JOINTS and row.value == pytest.approx(-25.0, abs=5.0)
+    assert named(rows) == {("friction", ALL_JOINTS)}
+    row = row_of(rows, "friction", ALL_JOINTS)
+    assert row.value == pytest.approx(-25.0, abs=5.0)
     assert sentences(rows)[0].endswith("lower")
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_nothing_is_named_where_nothing_has_changed(seed):
-    rows = rows_of(seed)
-    assert not any(row.reason for row in rows)
-    (sentence,) = sentences(rows)
-    assert sentence.startswith("no difference beyond the errors: mass")
+def test_nothing_is_named_where_nothing_has_changed_and_what_no_torque_shows_is_said():
+    rows = rows_of(0)
+    assert not named(rows)
+    first, second = verdict_on(rows)
+    assert first.startswith("Unchanged: no difference beyond the errors")
+    # Torques are the same whichever way an arm on a vertical axis has turned.
+    assert row_of(rows, "zero", "joint0").reason == UNKNOWN
+    assert second == "not shown by these logs: zero of joint0"
 
 
 @pytest.mark.parametrize(
@@ -106,9 +164,10 @@ class Checked(Exception):
 
 def runs_with(folder, robot, *options):
     """Return a run per text of options, each with a log of its own, of one model."""
-    content = {"logs": ["log"], "payload": None, "model": {"sha256": robot.sha256}}
     runs = []
     for number, text in enumerate(options):
+        logs = [f"{folder}/log{number}.csv"]
+        content = {"logs": logs, "payload": None, "model": {"sha256": robot.sha256}}
         (folder / str(number)).mkdir(exist_ok=True)
         words = f'path = "{robot.path}"\nmeasurements = ["{folder}/log{number}.csv"]\n{text}\n'
         (folder / str(number) / "run.toml").write_text(words)
@@ -131,19 +190,21 @@ def test_logs_are_judged_against_the_runs_own_arm_with_its_options(
         assert arm.mass == pytest.approx(1.5 * robot.mass)
         assert question.options.priors.scale == pytest.approx((0.5, 0.5, 0.5))
         assert is_loaded == [False, True] and order == [-1.0, 1.0]
-        return [
-            joint_factors(log.options["torque_scale"], arm.joint_names, SCALE)[0]
-            for log in logs
-        ]
+        for log in logs:
+            scale, _ = joint_factors(
+                log.options["torque_scale"], arm.joint_names, SCALE
+            )
+            assert np.all(scale == 2.0)
+        return Judged(tuple(logs), (), (), None)
 
-    def end(scales, accepted, progress):
-        assert np.all(np.equal(scales, 2.0)) and accepted == {"zero"}
+    def end(judged, accepted, progress):
+        assert accepted == {"tilt", "torque-scale", "zero"}
         raise Checked
 
     monkeypatch.setattr(comparison, "judge", check)
     monkeypatch.setattr(comparison, "usable", end)
     options = (
-        'mass_scale = 1.5\naccept = ["zero"]\n'
+        'mass_scale = 1.5\naccept = ["tilt"]\n'
         f'torque_scale = "{tmp_path / "scale.json"}"'
     )
     with pytest.raises(Checked):

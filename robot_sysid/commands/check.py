@@ -1,0 +1,68 @@
+"""``robot-sysid check MODEL LOG --since EARLIER``: whether an arm is what it was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from robot_sysid.commands import Console
+from robot_sysid.commands.arguments import MODEL, Command
+from robot_sysid.config import IdentifyConfig
+from robot_sysid.logs import LogOptions
+from robot_sysid.model import ModelOptions
+from robot_sysid.records.messages import aligned_lines, number_text
+from robot_sysid.records.option_fields import Option, options_of_all
+
+
+def run(values: Mapping[str, Any], console: Console) -> int:
+    """Print what has changed and return the exit code: 1 where anything has."""
+    from robot_sysid.pipeline.comparison import check_log
+
+    options = dict(values)
+    since = options.pop("since")
+    config = IdentifyConfig.of(measurements=(options.pop("log"),), **options)
+    result = check_log(config, since, console)
+    rows = [["change of", "", "value", "±", "named from", ""]]
+    for row in result.changes:
+        error = row.error or 0.0
+        numbers = [number_text(n, error) for n in (row.value, error, row.least)]
+        rows.append([row.of, row.name, *numbers, f"{row.unit} {row.reason}".strip()])
+    console.stage(*aligned_lines(rows, ("value", "±", "named from")))
+    console.stage(*result.verdict)
+    console.result(vars(result))
+    return int(result.has_changed)
+
+
+COMMANDS = (
+    Command(
+        "check",
+        "check arm.xml today.csv --since log.csv",
+        "Tell whether an arm is what it was, its load, friction, zeros and torque sensors, by a "
+        "log of any motion, such as of a task, and an earlier one. The exit code is 1 where "
+        "something has changed.",
+        {
+            "": (
+                *MODEL,
+                Option(
+                    "log", "file or folder of the recording", metavar="LOG", parse=Path
+                ),
+            ),
+            "earlier log": (
+                Option(
+                    "--since",
+                    "earlier log, or the folder of a run of identify on it",
+                    metavar="EARLIER",
+                    parse=Path,
+                ),
+            ),
+            "model": options_of_all(
+                ModelOptions, only=("mesh_dir", "joint", "mass_scale")
+            ),
+            "log": options_of_all(LogOptions),
+        },
+        run,
+        required=("since",),
+        interrupted="interrupted; nothing was written",
+    ),
+)

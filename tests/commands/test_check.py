@@ -1,0 +1,110 @@
+"""``robot-sysid check MODEL LOG --since EARLIER``: what it says, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import robot_sysid as rs
+from rigs import arms
+from rigs.command_line import CommandLine
+from rigs.wrong_arms import truth_of
+from robot_sysid.logs.text import write_measurement_csv
+
+ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+OTHER = arms.serial_arm((arms.Z, arms.Y, arms.X, arms.Y), joint='range="-2.5 2.5"')
+TURNED = np.radians(2.0) * np.eye(4)[1]
+FRICTION_ALONE = np.array([1.0, 1.0, 1.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model, an earlier log of an arm, and later ones of another motion."""
+    folder = tmp_path_factory.mktemp("check")
+    (folder / "arm.xml").write_text(ARM)
+    robot = arms.robot_of(ARM)
+    first = truth_of(robot, 2)
+    motion = truth_of(robot, 3).motion
+    noise = 0.02 * np.random.default_rng(1).standard_normal(motion.q.shape)
+    same = first.arm.log(motion, noise)
+    logs = {
+        "earlier": first.log,
+        "same": same,
+        "turned": replace(same, q=same.q + TURNED),
+        "sign": replace(same, tau=same.tau * FRICTION_ALONE),
+        "still": replace(same, q=np.tile(same.q[:1], (len(same), 1))),
+        "other": truth_of(arms.robot_of(OTHER), 3).log,
+    }
+    for name, log in logs.items():
+        write_measurement_csv(folder / f"{name}.csv", robot.joint_names, [log])
+    return folder
+
+
+@pytest.fixture
+def command(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    return CommandLine(folder, capsys)
+
+
+def test_an_arm_is_what_it_was(command):
+    printed = command.run("check arm.xml same.csv --since earlier.csv --json")
+    content = json.loads(printed.out)
+    assert not content["has_changed"] and content["since"] == ["earlier.csv (--since)"]
+    assert content["verdict"][0].startswith("Unchanged: no difference beyond the err")
+    rows = {(row["name"], row["of"]): row for row in content["changes"]}
+    assert 0.0 < rows["m", "link3"]["least"] < 0.5
+    assert rows["zero", "joint0"]["reason"] == "not shown"
+
+
+def test_a_zero_that_moved_is_named_with_its_size_and_what_to_do(command):
+    printed = command.run("check arm.xml turned.csv --since earlier.csv", code=1)
+    verdict = printed.out.splitlines()[-2:]
+    assert verdict[0].startswith(
+        "Changed: the position of joint1 reads 1.99 ± 0.12 deg"
+    )
+    assert verdict[1] == "What to do: set the joint's zero anew"
+
+
+@pytest.mark.parametrize(
+    ("log", "since", "texts"),
+    [
+        ("earlier", "earlier.csv", ("has the samples of", "give each log once")),
+        ("still", "earlier.csv", ("still.csv: the arm is at rest",)),
+        ("same", "still.csv", ("--since takes an earlier log, or the fol", "at rest")),
+        ("same", "absent", ("cannot read the log absent",)),
+        ("same", ".", ("--since takes", ". is a folder of no known form")),
+    ],
+)
+def test_a_log_that_shows_nothing_or_is_none_is_refused(command, log, since, texts):
+    printed = command.run(f"check arm.xml {log}.csv --since {since}", code=2)
+    assert all(text in printed.err for text in texts)
+
+
+@pytest.mark.slow
+def test_a_torque_of_the_other_sign_is_no_drift(command):
+    printed = command.run("check arm.xml sign.csv --since earlier.csv", code=2)
+    assert "torque of joint joint3 has the opposite sign" in printed.err
+    # Columns put right are those of the log, not of the earlier one.
+    command.run("check arm.xml sign.csv --since earlier.csv --columns sign_columns.txt")
+
+
+@pytest.mark.slow
+def test_a_log_of_another_arm_is_no_change(command):
+    printed = command.run("check arm.xml other.csv --since earlier.csv", code=1)
+    assert "error: other.csv: the torques do not fit this model" in printed.err
+
+
+@pytest.mark.slow
+def test_since_takes_the_folder_of_a_run_from_anywhere(command, folder, tmp_path):
+    command.run("identify arm.xml earlier.csv --output-dir run")
+    printed = command.run("check arm.xml same.csv --since run")
+    assert "Unchanged" in printed.out
+    result = rs.check("arm.xml", "same.csv", since="run")
+    assert not result.has_changed and [*result.verdict] == printed.out.splitlines()[-2:]
+    (folder / "earlier.csv").rename(folder / "moved.csv")
+    printed = command.run("check arm.xml same.csv --since run", code=2)
+    assert "--since takes" in printed.err and "earlier.csv: No such" in printed.err
+    (folder / "moved.csv").rename(folder / "earlier.csv")
