@@ -30,7 +30,7 @@ BUDGETS = {
     "robot_sysid/records": 10614,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11025,
-    "robot_sysid/servo": 7379,
+    "robot_sysid/servo": 7374,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
     "robot_sysid": 11119,

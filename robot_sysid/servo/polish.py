@@ -47,10 +47,6 @@ MAX_WINDOWS = 200
 """Most windows that are played, spread evenly over the logs."""
 INSTANTS = 6
 """Number of instants of a window at which positions are compared, the last one at its end."""
-ROUNDS = 3
-"""Number of Gauss-Newton steps."""
-STEP = 0.3
-"""Step of differences, in standard deviations of the prior."""
 
 
 def written_arm(result: Identification, mesh_dir: Path | None) -> RobotModel:
@@ -216,10 +212,12 @@ class Polish:
         directions = deviation[:, None] * axes * roots
         whitening = (axes / roots).T / deviation
         errors = problem.errors(start)
+        # Of differences, in standard deviations: friction at turns makes rollouts rough.
+        step = 0.3
         slopes = []
         for direction in directions.T:
-            moved = replace(start, values=start.values + STEP * direction)
-            slopes.append((problem.errors(moved) - errors) / STEP)
+            moved = replace(start, values=start.values + step * direction)
+            slopes.append((problem.errors(moved) - errors) / step)
         return cls(problem, whitening, np.stack(slopes, axis=-1) @ whitening)
 
     def steps_from(self, start: Fit, prior: Array, used: NDArray[np.bool_]) -> Fit:
@@ -234,7 +232,7 @@ class Polish:
         # Positions of a window say no more than one of them, and half of it is another window's.
         correlation = 2.0 * INSTANTS
         held = np.column_stack((self.whitening, self.whitening @ prior))
-        for _ in range(ROUNDS):
+        for _ in range(3):
             errors = self.problem.errors(fit)[used]
             scale = np.sqrt(correlation * np.mean(errors**2, axis=(0, 1))) + 1e-9
             slopes = self.slopes[used] / scale[:, None]
@@ -308,7 +306,7 @@ def polish(
     )
     is_better = is_clearly_lower(np.sum(after, axis=1), np.sum(before, axis=1))
     is_farther = any(map(is_clearly_lower, before.T, after.T))
-    # Torques have to show that they are no worse, not the user that they are.
+    # Without a test of significance: the numbers of the torques are there already.
     is_worse = any(
         judge_file(each).level is Level.REFUSES
         or np.sum(each.before.blocks) < 0.9 * np.sum(each.after.blocks)
