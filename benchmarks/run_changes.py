@@ -1,90 +1,92 @@
-"""Whether ``report A B`` finds what has changed between two runs of one arm, and nothing else.
+"""Whether ``check`` finds what has changed between two logs of one arm, and nothing else.
 
     python -m benchmarks.run_changes MODELS_FOLDER [--pairs 24] [--first-seed 0]
-        [--arms ur5e iiwa14 panda gen3]
+        [--arms ur5e iiwa14 panda gen3] [--kinds none load friction zero]
 
-Each pair is of another arm as it is: links 10 to 20 % off the model, torque scales, encoder zeros,
-a tilted base, Stribeck friction and friction that grows with the load (see ``real_arms``). Its two
-logs of 20 to 30 s are of different motions. From one to the other, Coulomb and viscous friction of
-each joint have changed by 10 % each, independently (one standard deviation).
+Each pair is of another arm as it is: links 10 to 20 % off the model, one 40 %, torque scales,
+encoder zeros, a tilted base, Stribeck friction and friction that grows with the load (see
+``real_arms``). The earlier log is of a planned motion at 250 Hz, the other of a task with rests at
+62 Hz, of 20 to 30 s each. From one to the other, Coulomb and viscous friction of each joint have
+changed by 10 % each, independently (one standard deviation).
 
-Of every four pairs one has a change of 0.1 kg at the last link, 5 to 15 cm from its frame, which
-comes on or comes off; one a change of 30 % of one joint's friction, up or down; two have none.
-
-A change is found where it is named, the joint too. A pair is falsely accused where anything is
-named that has not changed. "separate" is what two separate results say: a difference of mass,
-Coulomb or viscous friction of more than two standard errors, the root of the sum of both squared.
+The kinds follow one another: nothing has changed; 0.3 kg came on or off, 5 to 15 cm from the last
+link's frame; one joint's friction is 1.5 times more or less; one joint's zero has moved by 2
+degrees. Counted per kind are pairs in which the change is named, those in which the logs do not
+show it, those in which anything else is named, and those that are refused or doubted.
 """
 
 from __future__ import annotations
 
 import sys
-import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmarks.answers import bare_model_text, number, run_command, write_log
 from benchmarks.real_arms import SENSOR_ARMS, arms_parser
-from rigs.wrong_arms import (
-    ARMS,
-    NOISE,
-    RATE,
-    STRIBECK,
-    WrongArm,
-    noise_samples,
-    wrong_links,
-)
+from benchmarks.right_logs import pick_and_place, planned
+from rigs.wrong_arms import ARMS, NOISE, STRIBECK, WrongArm, noise_samples, wrong_links
 from robot_sysid import spatial
+from robot_sysid.config import IdentifyConfig
+from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline.comparison import compare_runs
+from robot_sysid.pipeline.changes import DIFFERS, UNKNOWN
+from robot_sysid.pipeline.comparison import compare_logs
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
-from robot_sysid.report.runs import load_run
 from robot_sysid.trajectory import generate_excitation_trajectory
 
-MASS = 0.1
-FRICTION = 0.3
-KINDS = ("mass", "none", "friction", "none")
+LOAD = 0.3
+FRICTION = 1.5
+ZERO = np.radians(2.0)
+KINDS = ("none", "load", "friction", "zero")
+STEP = 4
+"""Rows of the motion per row of the second log."""
 
 
 @dataclass(frozen=True)
-class Change:
+class Drawn:
     """What has changed from a pair's first log to its second.
 
     Attributes:
         body: (10,) what came on at the last link.
         friction: (2, n) factors of Coulomb and viscous friction.
-        name: of what is to be found; "" for nothing.
+        zeros: (n,) by which encoders read more [rad].
+        name: name and owner of what is to be found; None for nothing.
     """
 
     body: Array
     friction: Array
-    name: str
+    zeros: Array
+    name: tuple[str, str] | None
 
 
-def draw_change(robot: RobotModel, kind: str, rng: np.random.Generator) -> Change:
+def draw_change(robot: RobotModel, kind: str, rng: np.random.Generator) -> Drawn:
     """Return a change of a kind, beside what friction does from day to day."""
-    friction = 1.0 + FRICTION_CHANGE * rng.standard_normal((2, robot.n_joints))
+    n = robot.n_joints
+    friction = 1.0 + FRICTION_CHANGE * rng.standard_normal((2, n))
+    nothing = Drawn(np.zeros(10), friction, np.zeros(n), None)
     sign = rng.choice([-1.0, 1.0])
-    if kind == "mass":
+    joint = int(rng.integers(n))
+    name = (kind, robot.joint_names[joint])
+    if kind == "load":
         direction = rng.standard_normal(3)
         place = rng.uniform(0.05, 0.15) * direction / np.linalg.norm(direction)
-        body = sign * spatial.theta_from_com(MASS, place, 4e-5 * np.eye(3))
-        return Change(body, friction, robot.body_name)
+        body = sign * spatial.theta_from_com(LOAD, place, 1e-4 * np.eye(3))
+        return replace(nothing, body=body, name=("m", robot.body_name))
     if kind == "friction":
-        joint = int(rng.integers(robot.n_joints))
-        friction[:, joint] *= 1.0 + FRICTION * sign
-        return Change(np.zeros(10), friction, robot.joint_names[joint])
-    return Change(np.zeros(10), friction, "")
+        friction[:, joint] *= FRICTION**sign
+        return replace(nothing, name=name)
+    if kind == "zero":
+        return replace(nothing, zeros=sign * ZERO * np.eye(n)[joint], name=name)
+    return nothing
 
 
 def draw_pair(
-    robot: RobotModel, has_sensors: bool, change: Change, rng: np.random.Generator
+    robot: RobotModel, has_sensors: bool, change: Drawn, rng: np.random.Generator
 ) -> Iterator[Recording]:
     """Yield the two logs of one arm."""
     n = robot.n_joints
@@ -101,7 +103,7 @@ def draw_pair(
     for is_second in (False, True):
         duration = float(rng.choice([20.0, 25.0, 30.0]))
         plan = generate_excitation_trajectory(robot, rng, duration)
-        motion = plan.evaluate(np.arange(round(RATE * duration)) / RATE)
+        motion = (pick_and_place if is_second else planned)(plan, rng)
         if is_second:
             dry_factor, viscous_factor = change.friction
             arm = replace(
@@ -110,6 +112,7 @@ def draw_pair(
                 stribeck=dry_factor * arm.stribeck,
                 loss=dry_factor * arm.loss,
                 viscous=viscous_factor * arm.viscous,
+                zeros=arm.zeros + change.zeros,
             )
         else:
             peak = np.max(np.abs(arm.torques(motion)[0]), axis=0)
@@ -131,69 +134,55 @@ def draw_pair(
             )
         white = bool(rng.integers(2))
         noise = NOISE * nominal * noise_samples(rng, motion.q.shape, white)
-        yield arm.log(motion, noise, is_second * change.body)
+        log = arm.log(motion, noise, is_second * change.body)
+        step = slice(None, None, STEP if is_second else 1)
+        name = "second" if is_second else "first"
+        yield Recording(log.time[step], log.q[step], None, log.tau[step], name=name)
 
 
-def separate(first: dict[str, Any], second: dict[str, Any]) -> Iterator[str]:
-    """Yield the names of what two results, contents of params.json, differ in."""
-    numbers = {}
-    for row in second["quantities"]:
-        numbers[row["source"], row["of"], row["name"]] = row
-    for row in first["quantities"]:
-        other = numbers.get((row["source"], row["of"], row["name"]))
-        is_mass = row["name"] == "mass" and row["of"] == first["body_name"]
-        if other is None or not (is_mass or row["name"] in ("coulomb", "viscous")):
-            continue
-        error = np.hypot(*(number(r["error"]) for r in (row, other)))
-        if abs(other["value"] - row["value"]) > 2.0 * error:
-            yield row["of"]
-
-
-def named(folder: Path, path: Path, arm_name: str, seed: int) -> Iterator[set[str]]:
-    """Yield what has changed in a pair, what separate results name, and what one fit names."""
+def outcome(path: Path, arm_name: str, kind: str, seed: int) -> Iterator[str]:
+    """Yield what is said of a pair: "found", "not shown", "false" with what is named, "refused"."""
     robot = load_robot_model(path)
     rng = np.random.default_rng([seed, 54])
-    change = draw_change(robot, KINDS[seed % len(KINDS)], rng)
-    model = folder / "model.xml"
-    model.write_text(bare_model_text(path))
-    logs = draw_pair(robot, arm_name in SENSOR_ARMS, change, rng)
-    for name, log in zip("ab", logs):
-        write_log(folder / f"{name}.csv", robot.joint_names, log)
-        words = (model, folder / f"{name}.csv", "--output-dir", folder / name)
-        # Whether masses or torques are off by a common factor is another question.
-        words += ("--accept", "torque-scale")
-        run_command("identify", *words)
-    yield {change.name} - {""}
-    runs = [load_run(folder / name) for name in "ab"]
-    yield set(separate(*(run.content for run in runs)))
-    yield {row.of for row in compare_runs(runs, Progress()) if row.reason}
+    change = draw_change(robot, kind, rng)
+    sides = [[log] for log in draw_pair(robot, arm_name in SENSOR_ARMS, change, rng)]
+    configs = (IdentifyConfig(), IdentifyConfig())
+    try:
+        rows = compare_logs(robot, sides, configs, Progress())
+    except SysidError as error:
+        yield f"refused: {error}"
+        return
+    for row in rows:
+        name = (row.name, row.of)
+        # What a load does has other numbers, too.
+        if name == change.name and row.reason in (DIFFERS, UNKNOWN):
+            yield "found" if row.reason == DIFFERS else "not shown"
+        elif row.reason == DIFFERS and (kind != "load" or row.of != robot.body_name):
+            yield f"false: {row.name} of {row.of} {row.value:.3g} ± {row.error:.2g} {row.unit}"
 
 
 def main() -> int:
-    """Print what each pair's change is and what is named, and the shares of all pairs."""
+    """Print what is said of each pair, and the counts of each kind."""
     parser = arms_parser(__doc__)
     parser.add_argument("--pairs", type=int, default=24)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     options = parser.parse_args()
-    counts = {name: np.zeros(3, dtype=int) for name in ("separate", "one fit")}
-    changed = 0
+    counts: Counter[tuple[str, str]] = Counter()
     for pair in range(options.pairs):
         seed = options.first_seed + pair
-        arm_name = options.arms[pair // len(KINDS) % len(options.arms)]
-        with tempfile.TemporaryDirectory() as folder:
-            path = options.models / ARMS[arm_name]
-            true, *answers = named(Path(folder), path, arm_name, seed)
-        changed += bool(true)
-        print(f"{seed:>5} {arm_name:<8} changed: {', '.join(true) or '-':<16}", end="")
-        for name, answer in zip(counts, answers):
-            is_false = bool(answer - true)
-            counts[name] += (bool(true & answer), is_false, is_false and not true)
-            print(f" {name}: {', '.join(sorted(answer)) or '-'};", end="", flush=True)
-        print()
-    for name, (found, false, unchanged) in counts.items():
-        print(
-            f"{name}: found {found} of {changed}, something false in {false} of "
-            f"{options.pairs} pairs, in {unchanged} of {options.pairs - changed} without a change"
+        kind = options.kinds[pair % len(options.kinds)]
+        arm_name = options.arms[pair // len(options.kinds) % len(options.arms)]
+        path = options.models / ARMS[arm_name]
+        said = [*outcome(path, arm_name, kind, seed)]
+        counts.update(
+            (kind, word) for word in {"pairs", *(s.split(":")[0] for s in said)}
         )
+        print(f"{seed:>5} {arm_name:<8} {kind:<9} {'; '.join(said)}", flush=True)
+    for kind in options.kinds:
+        words = (
+            f"{word} {n}" for (of, word), n in sorted(counts.items()) if of == kind
+        )
+        print(f"{kind}: {', '.join(words)}")
     return 0
 
 
