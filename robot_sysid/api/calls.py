@@ -259,17 +259,21 @@ def payload(
 
 @with_keywords(
     (
-        *options_of_all(ModelOptions, only=("mesh_dir", "joint", "mass_scale")),
+        *options_of_all(
+            ModelOptions, only=("mesh_dir", "joint", "mass_scale", "gravity")
+        ),
         *options_of_all(LogOptions),
     )
 )
-def check(model: Model, log: Log, since: Log, **options: Any) -> Check:
+def check(
+    model: Model, log: Log | Sequence[Log], since: Log | Sequence[Log], **options: Any
+) -> Check:
     """Tell whether an arm is what it was: its load, friction, zeros and torque sensors.
 
     Args:
         model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
-        log: of any motion, such as of a task, see ``robot_sysid.Log``.
-        since: an earlier log, or the path of the folder of a run of ``identify`` on it.
+        log: of any motion, such as of a task, see ``robot_sysid.Log``; or several.
+        since: an earlier log, or several; or the path of the folder of a run of ``identify``.
         options: what ``ModelOptions`` and ``LogOptions`` take; those of logs are for ``log`` alone.
 
     Returns:
@@ -279,10 +283,10 @@ def check(model: Model, log: Log, since: Log, **options: Any) -> Check:
         InputError: a log cannot be used, is of another arm, or shows nothing.
         SysidError: there is a doubt that is not accepted.
     """
-    values = {**options, "measurements": (_log_source(log),)}
+    values = {**options, "measurements": _log_sources(log)}
     with _quietly() as notes:
         config = IdentifyConfig.of(path_of(model), **values)
-        return check_log(config, _log_source(since), notes)
+        return check_log(config, _log_sources(since), notes)
 
 
 @dataclass(frozen=True, repr=False)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands import Console
-from robot_sysid.commands.arguments import MODEL, Command
+from robot_sysid.commands.arguments import LOG, MODEL, Command
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
@@ -21,7 +21,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
 
     options = dict(values)
     since = options.pop("since")
-    config = IdentifyConfig.of(measurements=(options.pop("log"),), **options)
+    config = IdentifyConfig.of(measurements=options.pop("log"), **options)
     result = check_log(config, since, console)
     rows = [["change of", "", "value", "±", "named from", ""]]
     for row in result.changes:
@@ -42,22 +42,18 @@ COMMANDS = (
         "log of any motion, such as of a task, and an earlier one. The exit code is 1 where "
         "something has changed.",
         {
-            "": (
-                *MODEL,
-                Option(
-                    "log", "file or folder of the recording", metavar="LOG", parse=Path
-                ),
-            ),
+            "": (*MODEL, LOG),
             "earlier log": (
                 Option(
                     "--since",
                     "earlier log, or the folder of a run of identify on it",
                     metavar="EARLIER",
                     parse=Path,
+                    takes_many=True,
                 ),
             ),
             "model": options_of_all(
-                ModelOptions, only=("mesh_dir", "joint", "mass_scale")
+                ModelOptions, only=("mesh_dir", "joint", "mass_scale", "gravity")
             ),
             "log": options_of_all(LogOptions),
         },

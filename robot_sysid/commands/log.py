@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands import Console
-from robot_sysid.commands.arguments import Command
+from robot_sysid.commands.arguments import LOG, Command
 from robot_sysid.errors import InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
@@ -65,13 +65,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
 
 
 _ARGUMENTS = (
-    Option(
-        "log",
-        "file or folder of the recording; or its positions in one and its torques in another",
-        metavar="LOG",
-        parse=Path,
-        takes_many=True,
-    ),
+    LOG,
     Option("path", "MJCF, URDF or xacro file", metavar="MODEL", parse=Path),
 )
 COMMANDS = (

@@ -193,11 +193,14 @@ def _map_columns(
     raise InputError("; ".join(sentences), [("--columns", line, *suggestion.further)])
 
 
-def origin_of(logs: Sequence[Recording]) -> DataOrigin:
-    """Return files, duration and mean sampling rate of logs, as the origin of a result's data."""
+def origin_of(logs: Sequence[Recording], sources: Iterable[Any]) -> DataOrigin:
+    """Return files, duration and mean sampling rate of logs, as the origin of a result's data.
+
+    ``sources`` are what they were read from, which may be two files for a log.
+    """
     duration = sum(log.duration for log in logs)
     rate = sum(len(log) - 1 for log in logs) / duration
-    files = [str(Path(log.name).absolute()) for log in logs]
+    files = [str(Path(source).absolute()) for source in sources]
     listed = ", ".join(map(str, logs))
     return DataOrigin(f"log {listed}", duration, rate, files=tuple(files))
 

@@ -65,7 +65,7 @@ class Check:
     """Whether an arm is what it was.
 
     Attributes:
-        log: name of the log that was checked.
+        logs: names of the logs that were checked.
         since: names of the earlier logs.
         has_changed: whether anything differs, beyond errors and what is usual from day to day.
         changes: the numbers that were compared.
@@ -73,19 +73,21 @@ class Check:
             and what the logs do not show.
     """
 
-    log: str
+    logs: tuple[str, ...]
     since: tuple[str, ...]
     has_changed: bool
     changes: tuple[Change, ...]
     verdict: tuple[str, ...]
 
 
-def check_log(config: IdentifyConfig, since: Any, progress: Progress) -> Check:
+def check_log(
+    config: IdentifyConfig, since: Sequence[Any], progress: Progress
+) -> Check:
     """Return whether an arm is what it was, by a log of any motion and an earlier one.
 
     Args:
         config: names the model and the log, and says how that is read.
-        since: the earlier log, as ``open_log`` takes it, or the folder of a run on earlier logs,
+        since: the earlier log, as ``open_logs`` takes it, or the folder of a run on earlier logs,
             with whose options these are read.
         progress: receives stages.
 
@@ -94,12 +96,13 @@ def check_log(config: IdentifyConfig, since: Any, progress: Progress) -> Check:
         SysidError: there is a doubt that is not accepted.
     """
     robot = load_arm(config, progress)
-    is_run = isinstance(since, Path) and (since / RUN_NAME).is_file()
+    folders = [path for path in since if isinstance(path, Path)]
+    is_run = [(path / RUN_NAME).is_file() for path in folders] == [True]
     try:
         # Options of the command are those of the log alone: an earlier log has its own.
-        earlier = replace(config, log=FittedLogOptions(measurements=(since,)))
+        earlier = replace(config, log=FittedLogOptions(measurements=tuple(since)))
         if is_run:
-            (earlier,) = _configs_of([load_run(since)])
+            (earlier,) = _configs_of([load_run(folders[0])])
         first = _read(robot, earlier, progress)
         if not is_run:
             found = _found_alone(robot, first, earlier)
@@ -127,8 +130,8 @@ def check_log(config: IdentifyConfig, since: Any, progress: Progress) -> Check:
             f"{second[0].name} shows nothing that could have changed: its joints hardly move, or "
             "those of the earlier log; record a motion of all joints"
         )
-    names = tuple(log.name for log in first)
-    return Check(second[0].name, names, bool(changed), tuple(rows), verdict_on(rows))
+    names, earlier_names = (tuple(log.name for log in side) for side in (second, first))
+    return Check(names, earlier_names, bool(changed), tuple(rows), verdict_on(rows))
 
 
 def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Change]:
@@ -189,14 +192,15 @@ def _without_factors(found: Iterable[Finding]) -> list[Finding]:
     return [f for f in found if all(key != "--mass-scale" for key, *_ in f.options)]
 
 
-def _of_earlier(error: InputError, model: Path, since: Any) -> InputError:
+def _of_earlier(error: InputError, model: Path, since: Sequence[Any]) -> InputError:
     """Return the error of an earlier log with what to do about it."""
     takes = f"{option_name('since')} takes an earlier log, or the folder of a run on it"
     text = f"{takes}: {error}"
-    if isinstance(since, Path) and error.options:
+    paths = [str(path) for path in since if isinstance(path, Path)]
+    if paths and error.options:
         text += "; identify the arm from it with its options, and give the folder of that run"
         error.command_lines = [
-            ["identify", str(model), str(since), *option] for option in error.options
+            ["identify", str(model), *paths, *option] for option in error.options
         ]
     error.args = (text,)
     return error

@@ -73,7 +73,7 @@ def identify_logs(
         _, test_notes = usable(of_test, options.accept, progress)
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test_notes))
-    origin = origin_of(logs)
+    origin = origin_of(logs, options.measurements)
     mesh_dir = config.model.mesh_dir
     return _result(fitted, origin, notes, progress, tests, mesh_dir)
 
@@ -186,6 +186,7 @@ def identify_payload(
     empty = open_logs(robot, options.empty, config.log, progress, "empty log")
     loaded = open_logs(robot, options.loaded, config.log, progress, "loaded log")
     logs = [*empty, *loaded]
+    origin = origin_of(logs, (*options.empty, *options.loaded))
     refuse_repeated_logs(logs)
     is_loaded = np.arange(len(logs)) >= len(empty)
     letters = EMPTY * len(empty) + LOADED * len(loaded)
@@ -226,9 +227,7 @@ def identify_payload(
         file = fit_file(weighed, carried)
     # Scales are those of the log before its torques were divided by known ones.
     divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
-    return payload_result(
-        fitted, weighed, file, flange, origin_of(logs), notes, divided
-    )
+    return payload_result(fitted, weighed, file, flange, origin, notes, divided)
 
 
 def order_positions(logs: Sequence[Recording], order: str | None) -> Array | None:

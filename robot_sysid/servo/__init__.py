@@ -305,7 +305,7 @@ def identify_servos(
         robot=robot,
         fit=fit,
         is_new=is_new,
-        data=origin_of(fitted_logs),
+        data=origin_of(fitted_logs, logs.measurements),
         before=before,
         after=after,
         goal=goal_error(held_out),
