@@ -283,7 +283,7 @@ class ColumnFinder:
         try:
             if quantity == "time":
                 return tuple(filter(None, [self.find_time()]))
-            sought = ("position", quantity)
+            sought = [*{"position", quantity}]
             candidates, _ = match_joints(
                 self.titles, self.robot, self.first_row, sought
             )

@@ -105,7 +105,7 @@ TWINS = {
     ),
     "commanded torques": (
         {"time": "t", "q{}": "q", "tau_cmd{}": "tau", "tau_model{}": "tau"},
-        "position = q*, torque = tau_cmd*",
+        "torque = tau_cmd*",
     ),
 }
 """Title to signal of a log, "{}" for the joint's number, and the line that is expected."""
