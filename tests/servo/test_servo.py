@@ -46,14 +46,16 @@ def identification(robot, error=0.1):
     return servo.ServoIdentification(robot, fit, true, origin, *errors, ())
 
 
-def run(robot, folder, monkeypatch, error=0.1, accept=()):
+def run(robot, folder, monkeypatch, error=0.1, accept=(), cards=None):
     """Write a given identification; return the outcome and the notes."""
     zero = np.zeros((3, robot.n_joints))
     poses = Motion(np.arange(3.0), zero, zero, zero)
     result = identification(robot, error)
     monkeypatch.setattr(servo, "identify_servos", lambda *_: (result, poses))
     progress = NoteRecorder()
-    config = IdentifyConfig.of(robot.path, accept=accept, output_dir=folder)
+    config = IdentifyConfig.of(
+        robot.path, accept=accept, output_dir=folder, cards=cards
+    )
     outcome = servo.run_servo(config, robot, progress)
     schemas.check(folder / "servo.json")
     return outcome, progress.notes
@@ -67,6 +69,13 @@ def test_what_was_judged_of_a_urdf_is_written_as_an_mjcf(robots, tmp_path, monke
     assert written.armature.tolist() == [0.1, 0.1]
     assert not (tmp_path / "updated_model.urdf").exists()
     assert run(robots["xml"], tmp_path / "xml", monkeypatch)[1] == []
+
+
+def test_a_card_has_the_rotors_of_the_written_model(robots, tmp_path, monkeypatch):
+    outcome, _ = run(robots["xml"], tmp_path, monkeypatch, cards="mjlab")
+    assert outcome.verdict[-1] == f"For mjlab: {tmp_path / 'mjlab_card.py'}"
+    text = (tmp_path / "mjlab_card.py").read_text()
+    assert text.count("'armature': 0.1,") == robots["xml"].n_joints
 
 
 def test_a_gain_that_the_logs_do_not_show_is_said(robots):
