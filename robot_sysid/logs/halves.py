@@ -151,12 +151,15 @@ def _time(
 
 def _cells(table: LogTable, columns: Sequence[int]) -> Array:
     """Return all rows of a table with some of its columns."""
-    return np.concatenate([block.cells for block in table.rows(columns)])
+    none = np.empty((0, len(columns)))
+    return np.concatenate([none, *(block.cells for block in table.rows(columns))])
 
 
 def _are_equal(times: Array, others: Array) -> bool:
     """Return whether two arrays of times (N,) deviate by less than a hundredth of their step."""
-    return bool(np.nanmax(np.abs(times - others)) < 0.01 * sampling_period(times))
+    if not np.isfinite([times, others]).all():
+        return False
+    return bool(np.max(np.abs(times - others)) < 0.01 * sampling_period(times))
 
 
 def _interpolate(
@@ -174,6 +177,8 @@ def _interpolate(
     from scipy.interpolate import CubicSpline
 
     q, tau = (_increasing(cells) for cells in (q, tau))
+    if min(len(q), len(tau)) < 10:
+        raise InputError(f"{position} and {torque} have too few rows with times")
     start = max(q[0, 0], tau[0, 0])
     end = min(q[-1, 0], tau[-1, 0])
     lasting = [f"from {cells[0, 0]:.6g} to {cells[-1, 0]:.6g}" for cells in (q, tau)]
@@ -203,6 +208,7 @@ def _interpolate(
 
 def _increasing(cells: Array) -> Array:
     """Return the rows of numbers that are later than all before; time is their first column."""
-    rows = cells[np.isfinite(cells).all(axis=1)]
+    # Larger numbers are faults of a file.
+    rows = cells[(np.abs(cells) < 1e24).all(axis=1)]
     is_later = np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0.0
     return rows[is_later]

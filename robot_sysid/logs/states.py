@@ -129,6 +129,9 @@ def states_table(
         layout: see ``LogTable``.
         states: nested values; None in place of one that cannot be read.
         row_noun: see ``LogTable``.
+
+    Raises:
+        InputError: no state has numbers.
     """
     columns: dict[str, int] = {}
     chunks = []
@@ -147,6 +150,8 @@ def states_table(
             else:
                 cell_row[[columns[title] for title in row]] = [*row.values()]
         chunks.append(cells)
+    if not columns:
+        raise InputError(f"{path} holds no numbers in states")
     table_cells = np.full((sum(map(len, chunks)), len(columns)), np.nan)
     start = 0
     for cells in chunks:

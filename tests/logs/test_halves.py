@@ -91,6 +91,7 @@ def test_nothing_is_interpolated_within_a_hole_of_the_torques(tmp_path):
     [
         (DATA.time + 2.0, 1, "from 0 to 2.995 and .* from 2 to 4.995: less than half"),
         (DATA.time + 1.7e9, 1, "less than half is common"),
+        (np.nan * DATA.time, 1, "too few rows with times"),
         (DATA.time, 4, "a row each 0.005 and .* each 0.02 of time"),
     ],
 )

@@ -147,6 +147,11 @@ def test_two_recordings_with_a_row_per_joint_are_refused(tmp_path):
     assert_refused("180 rows repeat the time and name of another one", path)
 
 
+def test_rows_of_joints_without_a_number_are_refused(tmp_path):
+    path = write_joints(tmp_path, ["never,base,0.1,0.2", ""])
+    assert_refused("holds no numbers in states", path)
+
+
 def test_a_word_that_changes_in_a_table_with_a_row_per_instant_is_left_out(tmp_path):
     rows = [["ab"[k // 40], *row] for k, row in enumerate(table(DATA).tolist())]
     titles = ["label", "time", "q1", "q2", "q3", "tau1", "tau2", "tau3"]
