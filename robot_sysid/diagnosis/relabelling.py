@@ -552,7 +552,7 @@ def mounted(
         "tilt",
         f"gravity acts {with_error(angle, error, 'degrees')} from the model's: the base is mounted "
         "otherwise, on a wall or a ceiling",
-        f"state its direction ({', '.join(numbers)}) with {option_name('gravity')}",
+        f"state the direction of gravity ({', '.join(numbers)}) with {option_name('gravity')}",
         (("--gravity", *numbers),),
     )
     # A base that is less tilted is mounted as the model says.
