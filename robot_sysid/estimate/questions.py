@@ -135,12 +135,12 @@ def _drift_sizes(
     if question.changed is None:
         return {DRIFT: friction * question.drifts, SCALE_DRIFT: scale * question.loaded}
     # Sensors err by a share of what the strongest joint has, whatever their own joint carries.
-    weaker = np.max(torque) / np.maximum(torque, 1e-9)
+    of_sensor = scale * np.max(torque)
     usual: dict[str, Array | float] = {
         DRIFT: 0.5 * usual_errors.FRICTION_CHANGE,
-        SCALE_DRIFT: scale * weaker,
+        SCALE_DRIFT: of_sensor / np.maximum(torque, 1e-9),
         ZERO_DRIFT: 1e-3 * usual_errors.ZERO_DRIFT,
-        OFFSET_DRIFT: usual_errors.OFFSET_DRIFT * torque,
+        OFFSET_DRIFT: np.full(len(torque), of_sensor),
     }
     largest = {DRIFT: friction, SCALE_DRIFT: usual_errors.LARGEST_DRIFT * scale}
     sizes: dict[str, Array | float] = {}

@@ -100,8 +100,11 @@ def changes(fitted: Fit) -> list[Change]:
         if needless:
             changed.remove(needless[0])
             continue
-        free = {*chain(*changed)}
-        others = [names for names in candidates if not free.issuperset(names)]
+        known = {*chain(*changed)}
+        if PAYLOAD_NAMES in changed:
+            # What gears lose of a load, no model has exactly: it looks like a sensor's error.
+            known.update(terms[SCALE_DRIFT].names, terms[OFFSET_DRIFT].names)
+        others = [names for names in candidates if not known.issuperset(names)]
         # Errors by the jackknife are too uncertain to choose by.
         likeliest = min(others, key=lambda names: compared[names].chance(False))
         if compared[likeliest].chance(True)[0] > level:

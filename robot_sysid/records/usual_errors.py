@@ -60,8 +60,9 @@ LOADED_SCALE = 3.0
 currents of a UR10e read 3 % low to 5 % high."""
 SCALE_DRIFT = 0.25
 """Drift of a torque scale from the middle of several logs to an end [%]: without it, logs of a KUKA
-LWR4+ differ by 0.07 kg at the last link, eight standard errors. Of logs that are compared, share of
-the strongest joint's torque: a joint of this arm with an eighth of it reads 10 % more or less."""
+LWR4+ differ by 0.07 kg at the last link, eight standard errors. Of logs that are compared, scale
+and offset by this share of the strongest joint's torque: a joint of this arm with an eighth of it
+reads 10 % more or less."""
 ZERO = 2.0
 """Zero of a joint's encoder [mrad]."""
 ZERO_DRIFT = 1.0
@@ -75,8 +76,6 @@ DELAY = 5.0
 OFFSET = 0.01
 """Offset of a torque sensor that is not significant, as a share of the joint's torque: offsets of a
 KUKA LWR4+ are not known better."""
-OFFSET_DRIFT = OFFSET
-"""Drift of such an offset from the middle of logs that are compared to an end."""
 LARGEST_DRIFT = 50.0
 """A drift of a zero, torque scale or offset that is a change of the arm, over the usual one: 50
-mrad, 12 % of the torque, a half of what the joint usually carries."""
+mrad, 12 % of the torque."""
