@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 9425,
+    "robot_sysid/pipeline": 9435,
     "robot_sysid/records": 10610,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11025,

@@ -112,19 +112,20 @@ def check_log(
     second = _read(robot, config, progress)
     # Both sides with one name would be one log.
     first = [replace(log, name=f"{log.name} ({option_name('since')})") for log in first]
-    wrong = _found_alone(robot, second, config)
     try:
         rows = compare_logs(robot, (first, second), (earlier, config), progress)
     except SysidError:
         # What is wrong with the log alone says more.
-        require_acceptable(second, wrong, config.log.accept)
+        found = _found_alone(robot, second, config)
+        require_acceptable(second, found, config.log.accept)
         raise
     changed = {row.name for row in rows if row.reason == DIFFERS}
-    if changed == {"zero"}:
-        # It is what was asked.
-        wrong = [each for each in wrong if each.about != "zero"]
     if changed:
-        require_acceptable(second, wrong, (*config.log.accept, *_SHARED))
+        # A log that is wrong differs, too. A zero that has moved is what was asked.
+        found = _found_alone(robot, second, config)
+        if changed == {"zero"}:
+            found = [each for each in found if each.about != "zero"]
+        require_acceptable(second, found, (*config.log.accept, *_SHARED))
     if all(row.reason == UNKNOWN for row in rows):
         raise InputError(
             f"{second[0].name} shows nothing that could have changed: its joints hardly move, or "
