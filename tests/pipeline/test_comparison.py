@@ -10,7 +10,7 @@ from rigs.measured_logs import XML, log_of
 from rigs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 from robot_sysid import spatial
 from robot_sysid.diagnosis.gate import Judged
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import ArmTerms
@@ -213,3 +213,13 @@ def test_logs_are_judged_against_the_runs_own_arm_with_its_options(
     for option, other in (("mass-scale", ""), ("gravity", turned)):
         with pytest.raises(InputError, match=f"the runs differ in --{option}"):
             compare_runs(runs_with(tmp_path, robot, options, other), Progress())
+
+
+@pytest.mark.slow
+def test_more_than_a_few_changes_are_those_of_another_arm():
+    changes = {
+        "scales": 1.0 + 0.2 * np.eye(4)[1],
+        "offset": np.array([2.0, 0, 3.0, 2.0]),
+    }
+    with pytest.raises(SysidError, match="more differs than a few changes of one arm"):
+        rows_of(3, NOTHING, ONE, False, zeros=0.05 * np.eye(4)[1], **changes)
