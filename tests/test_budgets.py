@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 9435,
+    "robot_sysid/pipeline": 9658,
     "robot_sysid/records": 10610,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11025,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
     "robot_sysid": 11119,
-    "tests": 228770,
+    "tests": 229102,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -5,17 +5,21 @@ Errors that both sides share, such as those of the other links and of torque sca
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from robot_sysid.config import IdentifyConfig, with_scale_prior
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import judge, require_acceptable, usable
 from robot_sysid.errors import InputError, SysidError
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.terms import ArmTerms
+from robot_sysid.estimate.terms import PAYLOAD_NAMES, ArmTerms
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.changes import (
@@ -236,7 +240,30 @@ def compare_logs(
         accepted |= {*config.log.accept}
     judged = replace(judged, findings=tuple(_without_factors(judged.findings)))
     fitted, _ = usable(judged, accepted, progress)
-    return changes(fitted)
+    rows = changes(fitted)
+    if rows[0].reason == DIFFERS:
+        rows[: len(PAYLOAD_NAMES)] = _weighed(rows, fitted)
+    return rows
+
+
+def _weighed(rows: Sequence[Change], fitted: Fit) -> Iterator[Change]:
+    """Yield the rows of a load that has changed, with the numbers that ``payload`` finds.
+
+    There, the heavier side carries a possible body. What gears lose of a load looks like a drift of
+    friction or sensors, too, and hides a share of it from the fit in which these may have changed:
+    errors contain half of what the two fits differ by.
+    """
+    sign = np.sign(rows[0].value)
+    recordings = [
+        replace(recording, is_loaded=recording.is_loaded == (sign > 0.0))
+        for recording in fitted.recordings
+    ]
+    question = Question(fitted.question.options, loaded=True)
+    weighed = solved(fitted.arm.robot, recordings, question)
+    at = weighed.at(PAYLOAD_NAMES)
+    for row, value, error in zip(rows, sign * weighed.values[at], weighed.errors[at]):
+        error = np.hypot(np.fmax(row.error or 0.0, error), 0.5 * (value - row.value))
+        yield replace(row, value=float(value), error=float(error))
 
 
 def sentences(rows: Sequence[Change]) -> list[str]:

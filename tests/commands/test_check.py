@@ -13,6 +13,7 @@ import robot_sysid as rs
 from rigs import arms
 from rigs.command_line import CommandLine
 from rigs.wrong_arms import truth_of
+from robot_sysid import spatial
 from robot_sysid.logs.text import write_measurement_csv
 
 ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
@@ -83,6 +84,30 @@ def test_a_zero_that_moved_is_named_with_its_size_and_what_to_do(command):
 def test_a_log_that_shows_nothing_or_is_none_is_refused(command, log, since, texts):
     printed = command.run(f"check arm.xml {log}.csv --since {since}", code=2)
     assert all(text in printed.err for text in texts)
+
+
+@pytest.mark.parametrize("way", [pytest.param("on", marks=pytest.mark.slow), "off"])
+def test_a_load_is_weighed_as_by_payload(folder, command, way):
+    """Whichever side carries it, and although gears lose a part of it."""
+    robot = arms.robot_of(ARM)
+    arm = replace(truth_of(robot, 2).arm, loss=np.full(4, 0.1))
+    weight = spatial.theta_from_com(0.5, np.array([0.0, 0.02, 0.1]), 1e-3 * np.eye(3))
+    rng = np.random.default_rng(2)
+    for name, seed, load in (("light", 2, 0.0), ("heavy", 3, 1.0)):
+        motion = truth_of(robot, seed).motion
+        noise = 0.02 * rng.standard_normal(motion.q.shape)
+        log = arm.log(motion, noise, load * weight)
+        write_measurement_csv(folder / f"{name}.csv", robot.joint_names, [log])
+    pair = ("heavy.csv", "light.csv")
+    log, since = pair if way == "on" else pair[::-1]
+    line = f"check arm.xml {log} --since {since} --json"
+    content = json.loads(command.run(line, code=1).out)
+    assert f"kg came {way} at link3" in content["verdict"][0]
+    row = content["changes"][0]
+    weighed = rs.payload("arm.xml", "light.csv", "heavy.csv").payload
+    assert abs(row["value"]) == pytest.approx(weighed.mass, abs=0.1 * row["error"])
+    assert row["error"] >= 0.9 * weighed.errors[0]
+    assert abs(abs(row["value"]) - 0.5) < 2.0 * row["error"] < 0.2
 
 
 @pytest.mark.slow
