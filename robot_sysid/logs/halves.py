@@ -6,8 +6,9 @@ Two files with times are joined by time, others row by row.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,17 @@ from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, Column, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
+
+
+@dataclass(frozen=True, eq=False)
+class _Half:
+    """A log as a table, its column of time, and the indices of others; empty for none."""
+
+    table: LogTable
+    time: Sequence[Column]
+    position: Sequence[int]
+    velocity: Sequence[int]
+    torque: Sequence[int]
 
 
 def join_halves(
@@ -39,114 +51,97 @@ def join_halves(
     Raises:
         InputError: the numbers of files differ, or two of them cannot be joined.
     """
-    positions = []
-    torques = []
-    for table in tables:
-        has_position = bool(_columns(table, robot, choices, {"position"}))
-        has_torque = bool(_columns(table, robot, choices, driven))
-        if has_position and not has_torque:
-            positions.append(table)
-        elif has_torque and not has_position:
-            torques.append(table)
+    halves = [_find(table, robot, choices, driven) for table in tables]
+    positions = [half for half in halves if half.position and not half.torque]
+    torques = [half for half in halves if half.torque and not half.position]
     if not positions or not torques:
         return [*tables]
     if len(positions) != len(torques):
-        listed = "; ".join(", ".join(map(str, group)) for group in (positions, torques))
+        groups = [[str(half.table) for half in group] for group in (positions, torques)]
         raise InputError(
             "the first file of positions belongs to the first file of torques, and so on, but "
-            f"their numbers differ: {listed}"
+            f"their numbers differ: {'; '.join(map(', '.join, groups))}"
         )
     joined = []
-    for table in tables:
-        if table in positions:
-            torque = torques[positions.index(table)]
-            joined.append(_join(table, torque, robot, choices, driven))
-        elif table not in torques:
-            joined.append(table)
+    for half in halves:
+        if half in positions:
+            joined.append(_join(half, torques[positions.index(half)]))
+        elif half not in torques:
+            joined.append(half.table)
     return joined
 
 
-def _columns(
-    table: LogTable,
-    robot: RobotModel,
-    choices: ColumnChoices,
-    quantities: Collection[str],
-) -> list[int]:
-    """Return the indices of the columns of a table that hold some quantities; [] for too few."""
-    # What is declared of the other file is not in this one.
-    own = {key: value for key, value in choices.columns.items() if key in quantities}
-    if own:
-        key = min(own)
-        stated = ColumnChoices(columns=own)
+def _find(
+    table: LogTable, robot: RobotModel, choices: ColumnChoices, driven: Collection[str]
+) -> _Half:
+    """Return which columns of a table are positions, torques and time."""
+    titles = [read_title(text, robot.joint_names) for text in table.titles]
+
+    def recognise(key: str, **columns: Any) -> Sequence[Column]:
+        stated = replace(choices, columns=columns).over(table.choices)
         is_commanded = key == "command"
         finder = column_finder(
             table.titles, robot, stated, table.first_row, False, is_commanded
         )
-        columns = finder.recognise(key)
-        # A joint without torque has no column.
-        return [column.index for column in columns if column.factor]
-    titles = [read_title(text, robot.joint_names) for text in table.titles]
-    quantity_of = [title.quantity_beside_name for title in titles]
-    indices = [k for k, quantity in enumerate(quantity_of) if quantity in quantities]
-    return indices if len(indices) >= robot.n_joints else []
+        return finder.recognise(key)
 
+    def indices(*quantities: str) -> list[int]:
+        for key in choices.columns.keys() & {*quantities}:
+            # What is declared of the other file is not in this one, and a joint without torque has
+            # no column.
+            columns = recognise(key, **{key: choices.columns[key]})
+            return [column.index for column in columns if column.factor]
+        found = [
+            k for k, t in enumerate(titles) if t.quantity_beside_name in quantities
+        ]
+        return found if len(found) >= robot.n_joints else []
 
-def _join(
-    position: LogTable,
-    torque: LogTable,
-    robot: RobotModel,
-    choices: ColumnChoices,
-    driven: Collection[str],
-) -> LogTable:
-    """Return the rows of a table of positions beside those of a table of torques."""
-    q_time, tau_time = (_time(table, robot, choices) for table in (position, torque))
-    q_columns = _columns(position, robot, choices, {"position"})
-    tau_columns = _columns(torque, robot, choices, driven)
-    q_columns += _columns(position, robot, choices, {"velocity"})
-    q_columns = [column.index for column in q_time] + q_columns
-    q = _cells(position, q_columns)
-    tau = _cells(torque, [*(column.index for column in tau_time), *tau_columns])
-    how = "row by row"
-    if q_time and tau_time:
-        # The times of both in the unit of the first.
-        tau[:, 0] *= tau_time[0].factor / q_time[0].factor
-        if len(q) != len(tau) or not _are_equal(q[:, 0], tau[:, 0]):
-            q, tau, how = _interpolate(position, torque, q, tau)
-        tau = tau[:, -len(tau_columns) :]
-    elif len(q) != len(tau):
-        raise InputError(
-            f"{position} has {len(q)} rows of positions and {torque} {len(tau)} of torques, and "
-            "they have no times by which they could be joined; give files of one run, or write "
-            "the time into both"
-        )
-    else:
-        tau_columns = [*(column.index for column in tau_time), *tau_columns]
-    # Columns that are not read keep their place: they may list the joints' names.
-    cells = np.full((len(q), len(position.titles)), np.nan)
-    cells[:, q_columns] = q
-    return replace(
-        position,
-        titles=(*position.titles, *(torque.titles[k] for k in tau_columns)),
-        first_row=position.first_row
-        and (*position.first_row, *[""] * len(tau_columns)),
-        blocks=partial(array_blocks, [cells, tau]),
-        choices=position.choices.over(torque.choices),
-        row_noun="row",
-        notes=(
-            *position.notes,
-            *torque.notes,
-            f"positions of {position} and torques of {torque} are one log, joined {how}",
-        ),
+    return _Half(
+        table,
+        recognise("time"),
+        indices("position"),
+        indices("velocity"),
+        indices(*driven),
     )
 
 
-def _time(
-    table: LogTable, robot: RobotModel, choices: ColumnChoices
-) -> tuple[Column, ...]:
-    """Return the column of the rows' times; () for none, and where a rate is declared."""
-    stated = replace(choices, columns={}).over(table.choices)
-    finder = column_finder(table.titles, robot, stated, table.first_row, False, False)
-    return finder.recognise("time")
+def _join(position: _Half, torque: _Half) -> LogTable:
+    """Return the rows of a table of positions beside those of a table of torques."""
+    q_time, tau_time = ([c.index for c in half.time] for half in (position, torque))
+    q_columns = [*q_time, *position.position, *position.velocity]
+    tau_columns = [*tau_time, *torque.torque]
+    q = _cells(position.table, q_columns)
+    tau = _cells(torque.table, tau_columns)
+    how = "row by row"
+    if q_time and tau_time:
+        # The times of both in the unit of the first.
+        tau[:, 0] *= torque.time[0].factor / position.time[0].factor
+        if len(q) != len(tau) or not _are_equal(q[:, 0], tau[:, 0]):
+            q, tau, how = _interpolate(position.table, torque.table, q, tau)
+        tau, tau_columns = tau[:, 1:], tau_columns[1:]
+    elif len(q) != len(tau):
+        raise InputError(
+            f"{position.table} has {len(q)} rows of positions and {torque.table} {len(tau)} of "
+            "torques, and they have no times by which they could be joined; give files of one run, "
+            "or write the time into both"
+        )
+    table = position.table
+    # Columns that are not read keep their place: they may list the joints' names.
+    cells = np.full((len(q), len(table.titles)), np.nan)
+    cells[:, q_columns] = q
+    return replace(
+        table,
+        titles=(*table.titles, *(torque.table.titles[k] for k in tau_columns)),
+        first_row=table.first_row and (*table.first_row, *[""] * len(tau_columns)),
+        blocks=partial(array_blocks, [cells, tau]),
+        choices=table.choices.over(torque.table.choices),
+        row_noun="row",
+        notes=(
+            *table.notes,
+            *torque.table.notes,
+            f"positions of {table} and torques of {torque.table} are one log, joined {how}",
+        ),
+    )
 
 
 def _cells(table: LogTable, columns: Sequence[int]) -> Array:
