@@ -12,9 +12,8 @@ from benchmarks.fuzz.mutations import damage_bytes, damaged_json, damaged_table,
 from rigs import log_files
 from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.arrays import array_blocks
 from robot_sysid.logs.reader import open_log
-from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.table import LogTable, array_blocks
 from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
 
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())

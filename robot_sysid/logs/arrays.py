@@ -25,32 +25,30 @@ from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.table import (
     ROWS,
-    Block,
     Chunk,
     LogTable,
+    array_blocks,
     as_input_errors,
     chunk_blocks,
     import_optional,
 )
+from robot_sysid.logs.text import is_names
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import read_json
 from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
-
-def array_blocks(arrays: Chunk, columns: Sequence[int]) -> Iterator[Block]:
-    """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
-    edges = range(0, len(arrays[0]), ROWS)
-    chunks = ([array[k : k + ROWS] for array in arrays] for k in edges)
-    return chunk_blocks(lambda: chunks, len(arrays[0]), columns)
+# Name of an array of the names of joints.
+_JOINT_NAMES = re.compile(r"joints?([_ ]?names?)?$|(^|/)names?$", re.IGNORECASE)
 
 
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
     """Return a recording of named arrays with one row, or one column, per sample.
 
-    A column of a two-dimensional array ``q`` is called ``q[0]``; dates become seconds from the
-    first. An array of another length or shape, or without numbers, is left out. ``group/q`` is
-    called ``q`` unless another array has that last name. InputError where no array has rows.
+    A column of a two-dimensional array ``q`` is called ``q[0]``, or ``elbow/q`` where an array such
+    as ``joint_names`` names them; dates become seconds from the first. An array of another length
+    or shape, or without numbers, is left out. ``group/q`` is called ``q`` unless another array has
+    that last name. InputError where no array has rows.
     """
     uses = Counter(name.rpartition("/")[2] for name in arrays)
     columns = {}
@@ -71,14 +69,28 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         listed = ", ".join(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = statistics.mode(lengths)
+    names_of: dict[int, list[str]] = {}
+    for name in left_out.copy():
+        values = arrays[name]
+        if _JOINT_NAMES.search(name) and hasattr(values, "tolist"):
+            names = values.tolist()
+            if is_names(names):
+                names_of[len(names)] = names
+                left_out.remove(name)
     titles = []
     samples = []
     for name, values in columns.items():
         rows = values if len(values) == n_rows else values.T
-        if len(rows) == n_rows:
-            width = rows.size // n_rows
-            titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]
-            samples.append(rows)
+        if len(rows) != n_rows:
+            continue
+        samples.append(rows)
+        width = rows.size // n_rows
+        if width == 1:
+            titles.append(name)
+        elif width in names_of:
+            titles += [f"{joint}/{name}" for joint in names_of[width]]
+        else:
+            titles += [f"{name}[{k}]" for k in range(width)]
     notes = [f"arrays without numbers are not used: {join_names(left_out)}"]
     return LogTable(
         path,
@@ -116,16 +128,16 @@ def matlab_table(path: Path, *_: Any) -> LogTable:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         content = loadmat(path, simplify_cells=True)
-    arrays = dict(_numeric_arrays("", content))
+    arrays = {n: v for n, v in fields(content) if isinstance(v, np.ndarray)}
     return arrays_table(path, "MATLAB .mat", arrays)
 
 
-def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
-    """Yield (name, array) of the arrays in a MATLAB variable and in the fields of its structs."""
+def fields(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (name, value) of the fields of nested structures, as ``group/q``."""
     if isinstance(value, dict):
-        for field, content in value.items():
-            yield from _numeric_arrays(f"{name}/{field}", content)
-    elif isinstance(value, np.ndarray):
+        for key, content in value.items():
+            yield from fields(content, f"{name}/{key}" if name else key)
+    else:
         yield name, value
 
 
@@ -323,19 +335,12 @@ def hdf5_table(path: Path, *_: Any) -> LogTable:
 def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     """Return ALOHA's arrays (N, joints) as a table, with its joints' names.
 
-    For another number of joints than one or two of its arms have, they are called joint0, joint1...
+    Another number of joints than one or two of its arms have stays without names.
     """
-    width = arrays[_ALOHA_ARRAYS[0]].shape[-1]
-    joints = [f"joint{k}" for k in range(width)]
-    if width == 7:
-        joints = [*_ALOHA_JOINTS]
-    elif width == 14:
-        joints = [*map("/".join, product(("left", "right"), _ALOHA_JOINTS))]
-    columns: dict[str, Array] = {}
-    for name, values in arrays.items():
-        titles = [f"{joint} {name.rpartition('/')[2]}" for joint in joints]
-        columns.update(zip(titles, values.T))
+    joints = [*_ALOHA_JOINTS]
+    if arrays[_ALOHA_ARRAYS[0]].shape[-1] > len(joints):
+        joints = [*map("/".join, product(("left", "right"), joints))]
     # ALOHA's files hold no time.
     layout = "ALOHA HDF5, without time stamps: rows taken to be 50 Hz"
-    table = arrays_table(path, layout, columns)
+    table = arrays_table(path, layout, {"joint_names": np.array(joints), **arrays})
     return replace(table, choices=ColumnChoices(rate=50.0))

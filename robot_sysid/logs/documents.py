@@ -16,12 +16,17 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
+from robot_sysid.logs.arrays import arrays_table, fields
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.states import is_names, named_rows, states_table
+from robot_sysid.logs.states import named_rows, states_table
 from robot_sysid.logs.table import LogTable, import_optional
+from robot_sysid.logs.text import is_names, is_row, parse_cell
 from robot_sysid.logs.titles import read_title
+from robot_sysid.records import Array
 from robot_sysid.wording import option_name
 
 
@@ -35,19 +40,17 @@ def json_table(path: Path, *_: Any) -> LogTable:
         return states_table(path, "JSON, a state per line", lines, "state")
     # Raises where the text is no JSON.
     content = json.loads(text, object_hook=_as_rows)
-    layout = "JSON, a list of states"
-    lists = [*_lists_in(content)]
-    if not any(lists):
+    lists = {n: v for n, v in fields(content) if isinstance(v, list)}
+    if not any(lists.values()):
         raise InputError(f"{path} holds no list of states, and no arrays")
-    states = content if isinstance(content, list) else max(lists, key=_count_states)
-    if states is not content and not _count_states(states):
-        layout = "JSON, an object of arrays"
-        length = max(map(len, lists))
-        states = [_instant(content, index, length) for index in range(length)]
-    elif isinstance(content, dict):
+    states = max(lists.values(), key=_count_states)
+    if isinstance(content, dict) and not _count_states(states):
+        named = {name: _as_array(values) for name, values in lists.items()}
+        return arrays_table(path, "JSON, an object of arrays", named)
+    if isinstance(content, dict):
         names = {key: value for key, value in content.items() if is_names(value)}
         states = [{**names, **state} for state in states]
-    return states_table(path, layout, states, "state")
+    return states_table(path, "JSON, a list of states", states, "state")
 
 
 def _as_rows(content: dict[str, Any]) -> Any:
@@ -69,30 +72,18 @@ def _json_values(text: str) -> Iterator[Any]:
         yield value
 
 
-def _lists_in(value: Any) -> Iterator[list[Any]]:
-    """Yield the lists in nested objects; not those in lists."""
-    if isinstance(value, list):
-        yield value
-    elif isinstance(value, dict):
-        for content in value.values():
-            yield from _lists_in(content)
-
-
 def _count_states(values: Sequence[Any]) -> int:
     """Return the number of states in a list; 0 where it holds something else."""
     return len(values) if values and isinstance(values[0], dict) else 0
 
 
-def _instant(value: Any, index: int, length: int) -> Any:
-    """Return nested objects with an element of each list of a length in the list's place."""
-    if isinstance(value, dict):
-        return {key: _instant(item, index, length) for key, item in value.items()}
-    if not isinstance(value, list):
-        return value
-    if len(value) == length:
-        return value[index]
-    # A list per joint.
-    return [_instant(item, index, length) for item in value]
+def _as_array(values: Sequence[Any]) -> Array | None:
+    """Return a list of numbers, dates, texts or of such lists as an array; None for another one."""
+    numbers_of = np.vectorize(lambda cell: parse_cell(str(cell)), otypes=[float])
+    try:
+        return numbers_of(np.array(values, object))
+    except ValueError:
+        return np.array(values) if is_names(values) else None
 
 
 def echo_table(path: Path, *_: Any) -> LogTable:
@@ -125,7 +116,8 @@ def excel_table(path: Path, *_: Any) -> LogTable:
             sheets[sheet.title] = [row for row in rows if row.count(None) < len(row)]
     name = max(sheets, key=lambda title: len(sheets[title]))
     rows = sheets.pop(name)
-    first = next((k for k, row in enumerate(rows) if _is_of_numbers(row)), 0)
+    filled = [[cell for cell in row if cell is not None] for row in rows]
+    first = next((k for k, cells in enumerate(filled) if is_row(cells)), 0)
     if not first:
         raise InputError(
             f"{path}: sheet {name!r} has no row of numbers below a row of titles; save the log's "
@@ -137,13 +129,6 @@ def excel_table(path: Path, *_: Any) -> LogTable:
     others = [title for title, rows in sheets.items() if rows]
     note = f"sheet {name!r} is read, not {', '.join(others)}" if others else ""
     return replace(table, notes=(note,) if note else ())
-
-
-def _is_of_numbers(row: Sequence[Any]) -> bool:
-    """Return whether more than half of the cells that are filled are numbers."""
-    filled = [cell for cell in row if cell is not None]
-    numbers = [cell for cell in filled if isinstance(cell, (int, float))]
-    return 2 * len(numbers) > len(filled)
 
 
 # Title of when a message was recorded [ns].

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.arrays import array_blocks
 from robot_sysid.logs.column_map import ColumnChoices, column_finder
-from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.table import LogTable, array_blocks
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, Column, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period

@@ -14,10 +14,10 @@ not chosen from.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Collection, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress, islice, product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -183,22 +183,22 @@ def _read_topic(
         sent.update(sample)
     if not sent:
         return
-    arm_joints: list[str] = []
+    arm_joints: Collection[str] = ()
     with contextlib.suppress(InputError):
-        recorded_joints = [joint for joint, _ in sent]
-        arm_joints += match_joint_names(recorded_joints, joint_names)
+        arm_joints = match_joint_names([joint for joint, _ in sent], joint_names)
     start = min(stamp for stamp, _ in messages)
     titles = ("time", *map(" ".join, sent))
     connections = _connections(bag, name)
     message_type = connections[0].msgtype
     layout = f"ROS bag, topic {name} ({message_type}), joints by name"
     n_messages = sum(connection.msgcount for connection in connections)
-    has_position, *has_torque = (
-        bool(arm_joints) and sent.keys() >= {*product(arm_joints, [quantity])}
-        for quantity in ("position", *TORQUE)
-    )
+    complete = []
+    for quantity in ("position", *TORQUE):
+        if arm_joints and sent.keys() >= {*product(arm_joints, [quantity])}:
+            complete.append(quantity)
+    has_torque = not {*complete}.isdisjoint(TORQUE)
     # Others may publish a gripper, or a few joints of the arm, on the same topic.
-    arm_keys = {*product(arm_joints, ["position", *compress(TORQUE, has_torque)])}
+    arm_keys = {*product(arm_joints, complete)}
     is_whole = [sample.keys() >= arm_keys for _, sample in messages]
     notes = [
         "messages without all joints of the arm, of another publisher, are left out"
@@ -214,7 +214,7 @@ def _read_topic(
         message_type,
         LogTable(path, layout, titles, blocks, row_noun="message", notes=tuple(notes)),
         n_messages,
-        rank=(has_position, any(has_torque), is_powered and any(has_torque)),
+        rank=("position" in complete, has_torque, has_torque and is_powered),
     )
 
 

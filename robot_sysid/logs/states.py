@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.arrays import array_blocks
-from robot_sysid.logs.table import ROWS, LogTable
-from robot_sysid.logs.text import parse_cell
+from robot_sysid.logs.table import ROWS, LogTable, array_blocks
+from robot_sysid.logs.text import is_names, parse_cell
 
 _SECONDS = frozenset({"sec", "secs", "seconds"})
 _NANOSECONDS = frozenset({"nanosec", "nsec", "nsecs", "nanos"})
@@ -71,21 +70,6 @@ def _numbers_in_mapping(
             # A list of another length was not measured of every joint.
             for name, item in zip(names, content):
                 yield from numbers_in(item, f"{prefix}{name}/{key}")
-
-
-def is_names(value: Any) -> bool:
-    """Return whether a value is a list of texts that are no numbers."""
-    return isinstance(value, list) and bool(value) and not any(map(is_number, value))
-
-
-def is_number(value: Any) -> bool:
-    """Return whether a value is a number, a date, or a text of one."""
-    if not isinstance(value, str):
-        return True
-    with contextlib.suppress(ValueError):
-        parse_cell(value)
-        return True
-    return False
 
 
 def named_rows(
@@ -152,10 +136,8 @@ def states_table(
         chunks.append(cells)
     if not columns:
         raise InputError(f"{path} holds no numbers in states")
-    table_cells = np.full((sum(map(len, chunks)), len(columns)), np.nan)
-    start = 0
-    for cells in chunks:
-        table_cells[start : start + len(cells), : cells.shape[1]] = cells
-        start += len(cells)
-    blocks = partial(array_blocks, [table_cells])
+    # Columns that came up later are empty in earlier states.
+    widths = [((0, 0), (0, len(columns) - cells.shape[1])) for cells in chunks]
+    padded = [np.pad(c, w, constant_values=np.nan) for c, w in zip(chunks, widths)]
+    blocks = partial(array_blocks, [np.concatenate(padded)])
     return LogTable(path, layout, tuple(columns), blocks, row_noun=row_noun)

@@ -72,6 +72,13 @@ def chunk_blocks(
             yield Block(lines, cells[:, list(columns)], "", count / n_rows)
 
 
+def array_blocks(arrays: Chunk, columns: Sequence[int]) -> Iterator[Block]:
+    """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
+    edges = range(0, len(arrays[0]), ROWS)
+    chunks = ([array[k : k + ROWS] for array in arrays] for k in edges)
+    return chunk_blocks(lambda: chunks, len(arrays[0]), columns)
+
+
 @dataclass(frozen=True)
 class LogTable:
     """A log as a table, whatever the form of its file.

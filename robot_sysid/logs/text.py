@@ -8,7 +8,6 @@ UTF-16, Latin-1, Windows line ends, quoted cells, a header that is itself the la
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,6 +16,7 @@ from functools import lru_cache
 from io import TextIOWrapper
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,8 +71,7 @@ class Dialect:
             rows = []
             complaint = ""
             for number, line in enumerate(lines, first):
-                text = line.lstrip()
-                if not text or text.startswith(_COMMENT):
+                if not _may_be_row(line):
                     continue
                 try:
                     row = self._read_row(columns, line)
@@ -88,9 +87,9 @@ class Dialect:
         """Yield the cells of each row as text, also of rows that have not a cell per title."""
         chunks = _read_lines(self.path, self.encoding, CHUNK, self.header_line)
         for _, lines, _ in chunks:
-            for line in lines:
-                if line.strip() and not line.lstrip().startswith(_COMMENT):
-                    yield split_line(line, self.separator)
+            yield from (
+                split_line(line, self.separator) for line in filter(_may_be_row, lines)
+            )
 
     def _read_plain_rows(self, lines: Sequence[str]) -> Array | None:
         """Return the cells (R, C) of lines that are all rows of plain numbers, else None.
@@ -166,7 +165,7 @@ def read_dialect(path: Path) -> Dialect:
     separator = _find_separator(header_text)
     titles = _split_first(header_text, separator)
     row = _split_first(row_text, separator)
-    if _is_mostly_numbers(titles):
+    if is_row(titles):
         header_line = 0
         row = titles
         numbered = tuple(map("#{}".format, range(1, len(row) + 1)))
@@ -217,6 +216,27 @@ def parse_cell(cell: str, start: str = "") -> float:
     if ":" in cell:
         return float((_date(cell) - _date(start)) / np.timedelta64(1, "s"))
     return float(cell.replace(",", "."))
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value is a number, a date, or a text of one or of an empty cell."""
+    if isinstance(value, str):
+        try:
+            parse_cell(value)
+        except ValueError:
+            return False
+    return True
+
+
+def is_names(value: Any) -> bool:
+    """Return whether a value is a list of texts that are no numbers."""
+    return isinstance(value, list) and bool(value) and not any(map(is_number, value))
+
+
+def is_row(cells: Sequence[Any]) -> bool:
+    """Return whether more than half of the cells are numbers: a row of data, not a header."""
+    # A row of data may carry a joint's name or a frame, a header may have a title like "1".
+    return 2 * sum(map(is_number, cells)) > len(cells)
 
 
 @lru_cache(maxsize=4)
@@ -275,7 +295,7 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
     rows: list[tuple[int, str]] = []
     for first, lines, _ in _read_lines(path, encoding, _LONGEST_LINE):
         for number, line in enumerate(lines, first):
-            if not line.lstrip().startswith(_COMMENT) and _can_be_row(line):
+            if _may_be_row(line) and _is_text(line):
                 rows.append((number, line))
             elif line.strip() and not rows:
                 above = line.strip()
@@ -284,10 +304,15 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
     return above, rows
 
 
-def _can_be_row(line: str) -> bool:
-    """Return whether a line may be a row of a table; an empty or a binary one is none."""
-    has_control = re.search(r"[\0-\x08\n-\x1f]", line)
-    return len(line) < _LONGEST_LINE and not has_control and bool(line.strip())
+def _may_be_row(line: str) -> bool:
+    """Return whether a line is neither empty nor a comment."""
+    text = line.lstrip()
+    return bool(text) and not text.startswith(_COMMENT)
+
+
+def _is_text(line: str) -> bool:
+    """Return whether a line is as long as those of text may be, and not binary."""
+    return len(line) < _LONGEST_LINE and not re.search(r"[\0-\x08\n-\x1f]", line)
 
 
 def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
@@ -295,7 +320,7 @@ def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
     text = comment.lstrip("#% ")
     for separator in (_find_separator(text), " "):
         titles = _split_first(text, separator)
-        if len(titles) == width and not _is_mostly_numbers(titles):
+        if len(titles) == width and not is_row(titles):
             return titles
     return ()
 
@@ -304,17 +329,6 @@ def _split_first(line: str, separator: str) -> tuple[str, ...]:
     """Return the cells of a header or first row, without an empty one behind a last separator."""
     cells = split_line(line, separator)
     return tuple(cells[:-1] if len(cells) > 1 and not cells[-1] else cells)
-
-
-def _is_mostly_numbers(cells: Sequence[str]) -> bool:
-    """Return whether more than half of the cells are numbers: a row of data, not a header."""
-    # A row of data may carry a joint's name or a frame, a header may have a title like "1".
-    count = 0
-    for cell in cells:
-        with contextlib.suppress(ValueError):
-            parse_cell(cell)
-            count += 1
-    return 2 * count > len(cells)
 
 
 # Name of samples in a recording to the quantity, as titles end in it.

@@ -13,15 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.states import (
+from robot_sysid.logs.states import list_in_cell, named_rows, states_table
+from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.text import (
+    Dialect,
     is_names,
     is_number,
-    list_in_cell,
-    named_rows,
-    states_table,
+    parse_cell,
+    plain_table,
+    read_dialect,
 )
-from robot_sysid.logs.table import LogTable
-from robot_sysid.logs.text import Dialect, parse_cell, plain_table, read_dialect
 from robot_sysid.logs.titles import read_title
 
 
