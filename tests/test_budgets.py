@@ -16,25 +16,25 @@ from pathlib import Path
 from rigs.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4008,
+    "robot_sysid/api": 3996,
     "robot_sysid/commands": 10995,
     "robot_sysid/damiao": 32392,
     "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 25415,
+    "robot_sysid/logs": 25456,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 9658,
+    "robot_sysid/pipeline": 9644,
     "robot_sysid/records": 10610,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11025,
-    "robot_sysid/servo": 7378,
+    "robot_sysid/servo": 7361,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
     "robot_sysid": 11119,
-    "tests": 229102,
+    "tests": 229378,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -166,7 +166,7 @@ def identify(
     model: Model,
     log: Log | Sequence[Log],
     *,
-    validation_measurements: Log | None = None,
+    validation_measurements: Log | Sequence[Log] | None = None,
     **options: Any,
 ) -> Result:
     """Identify an arm: its terminal link, every other link, and its joints' friction.
@@ -176,7 +176,7 @@ def identify(
     Args:
         model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
         log: one log of the real arm or several (see ``robot_sysid.Log``).
-        validation_measurements: a log to test the result on.
+        validation_measurements: one log to test the result on, or several.
         options: every option of the command, ``keep="gravity"`` for --keep gravity; ``priors`` may
             also be a mapping.
 
@@ -189,12 +189,8 @@ def identify(
     values = {**options, "measurements": _log_sources(log)}
     if not values["measurements"]:
         raise InputError("the list of logs is empty; give at least one log")
-    if isinstance(validation_measurements, (list, tuple)):
-        raise InputError(
-            "validation_measurements is one log, not a list; test the logs one by one"
-        )
     if validation_measurements is not None:
-        values["validation_measurements"] = _log_source(validation_measurements)
+        values["validation_measurements"] = _log_sources(validation_measurements)
     return _run_quietly(IdentifyConfig.of(path_of(model), **values))
 
 

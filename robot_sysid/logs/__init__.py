@@ -108,6 +108,6 @@ class FittedLogOptions(LogOptions):
         flag="measurements",
         takes_many=True,
     )
-    validation_measurements: Path | None = option(
-        None, "another log that only tests the result", "LOG.csv"
+    validation_measurements: tuple[Path, ...] = option(
+        (), "other logs, which only test the result", "LOG", takes_many=True
     )

@@ -22,7 +22,7 @@ from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import errors_on, fit_file
 from robot_sysid.estimate.result import link_result
-from robot_sysid.logs.reader import open_log, open_logs, origin_of, refuse_repeated_logs
+from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import EMPTY, LOADED
@@ -60,8 +60,7 @@ def identify_logs(
     options = config.log
     kind = "measurements from"
     logs = open_logs(robot, options.measurements, options, progress, kind)
-    tested = options.validation_measurements
-    tests = [] if tested is None else [open_log(robot, tested, options, progress)]
+    tests = open_logs(robot, options.validation_measurements, options, progress)
     refuse_repeated_logs([*logs, *tests])
     question = Question(config.estimation)
     progress.stage("Solving for parameters...")

@@ -264,18 +264,16 @@ def identify_servos(
         logs: names the logs to fit, and the validation log if there is one.
         progress: receives each stage.
     """
-    test_path = logs.validation_measurements
     kind = "commands and positions from"
     options = replace(logs, commanded=True)
-    test_paths = [*filter(None, [test_path])]
     fitted_logs = open_logs(robot, logs.measurements, options, progress, kind)
-    tests = open_logs(robot, test_paths, options, progress, kind)
+    tests = open_logs(robot, logs.validation_measurements, options, progress, kind)
     opened = [*fitted_logs, *tests]
     refuse_repeated_logs(opened)
     check_commands(opened, robot.joint_names)
     fitted: list[Recording] = [*chain(*map(split_at_gaps, fitted_logs))]
     held_out: list[Recording] = [*chain(*map(split_at_gaps, tests))]
-    if test_path is None:
+    if not tests:
         ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]
         held_out = [piece[end:] for piece, end in zip(fitted, ends)]
         fitted = [piece[:end] for piece, end in zip(fitted, ends)]

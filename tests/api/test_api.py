@@ -125,7 +125,8 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result, model, lo
         assert_allclose(from_form.theta, result.theta, rtol=1e-9)
     columns = ("time", "q", "tau")
     shorter, shortest = ({n: arrays[n][k:] for n in columns} for k in (1, 2))
-    both = rs.identify(model, [log, shorter], validation_measurements=shortest)
+    halves = [{n: shortest[n] for n in ("time", half)} for half in ("q", "tau")]
+    both = rs.identify(model, [log, shorter], validation_measurements=halves)
     assert both.mass == pytest.approx(result.mass, rel=0.01)
     assert len(both.file.others) == 1 and len(both.validation) >= 2
 

@@ -62,9 +62,6 @@ REFUSED = {
     "rs.identify(5, 'l')": A_MODEL,
     "rs.read_log('l', 5)": A_MODEL,
     "rs.payload('m', [], 'b')": "empty=LOG... is missing: a payload is weighed",
-    "rs.identify('m', 'l', validation_measurements=['a', 'b'])": (
-        "validation_measurements is one log, not a list"
-    ),
     "rs.identify('m', 'l', priors={'link_uncertainty': 5.0})": (
         "there is no prior 'link_uncertainty'; priors are numbers by these names: link"
     ),

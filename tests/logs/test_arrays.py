@@ -108,6 +108,35 @@ def test_matlab_7_3_is_hdf5_whose_arrays_are_turned(h5py, tmp_path):
     assert_read(path)
 
 
+ORDER = [2, 0, 1]
+BY_NAME = {**COLUMNS, **{name: COLUMNS[name][:, ORDER] for name in ("q", "qd", "tau")}}
+NAMES = [JOINTS[k] for k in ORDER]
+
+
+def write_hdf5(path, content):
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        for name, values in content.items():
+            file[f"log/{name}"] = values
+
+
+@pytest.mark.parametrize("key", ["joint_names", "names", "joints"])
+@pytest.mark.parametrize(
+    ("write", "names"),
+    [
+        (lambda path, content: np.savez(path, **content), np.array(NAMES)),
+        (lambda path, content: savemat(path, {"a": content}), np.array(NAMES, object)),
+        (write_hdf5, NAMES),
+    ],
+    ids=["npz", "mat", "hdf5"],
+)
+def test_names_of_joints_beside_arrays_outrank_their_order(tmp_path, write, names, key):
+    path = tmp_path / "log.npz"
+    write(path, {**BY_NAME, key: names})
+    assert_read(path)
+    write(path, {**BY_NAME, key: ["x", "y", "z"]})
+    assert_refused("one position column for each joint", path)
+
+
 def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column(
     tmp_path,
 ):
