@@ -326,11 +326,9 @@ def hdf5_table(path: Path, *_: Any) -> LogTable:
             # The group #refs# holds the cell arrays of a MATLAB file.
             if isinstance(data, h5py.Dataset) and not name.startswith("#"):
                 # What is not read serves the error of a file without columns.
-                arrays[name] = data
-                if can_be_column(data):
-                    arrays[name] = data[()]
-                elif data.shape and h5py.check_string_dtype(data.dtype):
-                    arrays[name] = data.asstr()[()]
+                is_text = data.shape and h5py.check_string_dtype(data.dtype)
+                source = data.asstr() if is_text else data
+                arrays[name] = source[()] if is_text or can_be_column(data) else data
         if _ALOHA_ARRAYS[0] in arrays:
             return _aloha_table(path, arrays)
         return arrays_table(path, "HDF5", arrays)

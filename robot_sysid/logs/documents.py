@@ -12,7 +12,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ def json_table(path: Path, *_: Any) -> LogTable:
     """Return JSON as a table: a state per line, a list of states, or an object of arrays."""
     text = path.read_text(encoding="utf-8-sig")
     values = _json_values(text)
-    beginning = [value for _, value in zip(range(2), values)]
+    beginning = [*islice(values, 2)]
     if any(isinstance(value, (dict, list)) for value in beginning[1:]):
         lines = chain(beginning, values)
         return states_table(path, "JSON, a state per line", lines, "state")
@@ -148,23 +148,20 @@ def mcap_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     topics: dict[str, list[Any]] = defaultdict(list)
     for topic, state in _mcap_states(path):
         topics[topic].append(state)
-    tables = {}
+    fitting = {}
     for topic, states in topics.items():
-        layout = f"MCAP, topic {topic}"
-        tables[topic] = states_table(path, layout, states, "message")
-    fitting = []
-    for topic, table in tables.items():
+        table = states_table(path, f"MCAP, topic {topic}", states, "message")
         quantities = {read_title(t).quantity_beside_name for t in table.titles}
         if options.topic in (None, topic) and quantities >= {"position", "torque"}:
-            fitting.append(topic)
+            fitting[topic] = table
     if len(fitting) != 1:
-        listed = ", ".join(fitting or tables) or "none"
+        listed = ", ".join(fitting or topics) or "none"
         fault = "several topics have" if fitting else "no topic has"
         raise InputError(
             f"{path}: {fault} positions and torques: {listed}; choose with {option_name('topic')}",
             options=[("--topic", topic) for topic in fitting],
         )
-    table = tables[fitting[0]]
+    (table,) = fitting.values()
     if any(read_title(title).quantity == "time" for title in table.titles):
         return table
     # Messages without a time stamp.

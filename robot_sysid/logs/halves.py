@@ -78,9 +78,8 @@ def _find(
 
     def recognise(key: str, **columns: Any) -> Sequence[Column]:
         stated = replace(choices, columns=columns).over(table.choices)
-        is_commanded = key == "command"
         finder = column_finder(
-            table.titles, robot, stated, table.first_row, False, is_commanded
+            table.titles, robot, stated, table.first_row, False, "command" in driven
         )
         return finder.recognise(key)
 

@@ -199,20 +199,20 @@ def _read_topic(
     has_torque = not {*complete}.isdisjoint(TORQUE)
     # Others may publish a gripper, or a few joints of the arm, on the same topic.
     arm_keys = {*product(arm_joints, complete)}
-    is_whole = [sample.keys() >= arm_keys for _, sample in messages]
-    notes = [
-        "messages without all joints of the arm, of another publisher, are left out"
-    ]
-    if all(is_whole) or not any(is_whole):
+    notes: tuple[str, ...] = ()
+    if len({sample.keys() >= arm_keys for _, sample in messages}) > 1:
+        notes = (
+            "messages without all joints of the arm, of another publisher, are left out",
+        )
+    else:
         arm_keys.clear()
-        notes.clear()
     read = partial(_read_chunks, path, name, list(sent), start, arm_keys)
     blocks = partial(chunk_blocks, read, n_messages)
     is_powered = any(map(sent.get, product(arm_joints, TORQUE)))
     yield Topic(
         name,
         message_type,
-        LogTable(path, layout, titles, blocks, row_noun="message", notes=tuple(notes)),
+        LogTable(path, layout, titles, blocks, row_noun="message", notes=notes),
         n_messages,
         rank=("position" in complete, has_torque, has_torque and is_powered),
     )

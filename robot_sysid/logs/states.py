@@ -117,23 +117,18 @@ def states_table(
     Raises:
         InputError: no state has numbers.
     """
-    columns: dict[str, int] = {}
+    # A dictionary keeps the titles in the order in which they come first.
+    columns: dict[str, None] = {}
     chunks = []
     remaining = iter(states)
     while chunk := list(islice(remaining, ROWS)):
-        rows = []
-        for state in chunk:
-            row = dict(numbers_in(state)) if state is not None else None
-            for title in row or ():
-                columns.setdefault(title, len(columns))
-            rows.append(row)
-        cells = np.full((len(rows), len(columns)), np.nan)
-        for cell_row, row in zip(cells, rows):
-            if row is None:
-                cell_row[:] = np.inf
-            else:
-                cell_row[[columns[title] for title in row]] = [*row.values()]
-        chunks.append(cells)
+        rows = [None if s is None else dict(numbers_in(s)) for s in chunk]
+        for row in filter(None, rows):
+            columns.update(dict.fromkeys(row))
+        unread = dict.fromkeys(columns, np.inf)
+        read = [unread if row is None else row for row in rows]
+        cells = [[row.get(title, np.nan) for title in columns] for row in read]
+        chunks.append(np.array(cells))
     if not columns:
         raise InputError(f"{path} holds no numbers in states")
     # Columns that came up later are empty in earlier states.

@@ -267,22 +267,22 @@ def _read_lines(
         for _ in range(above):
             stream.readline()
         while lines := stream.readlines(size):
-            text = _join_cells("".join(lines), stream)
-            share = binary.tell() / file_size
-            yield above + 1, text.removesuffix("\n").split("\n"), share
+            first = above + 1
             above += len(lines)
+            if any('"[' in line for line in lines):
+                lines = _join_cells("".join(lines), stream)
+            yield first, lines, binary.tell() / file_size
 
 
-def _join_cells(text: str, stream: TextIOWrapper) -> str:
+def _join_cells(text: str, stream: TextIOWrapper) -> list[str]:
     """Return lines of which none ends within a list in quotes, read to the end of the last one.
 
     NumPy writes a long array in several lines.
     """
-    if '"[' not in text:
-        return text
     while text.rfind('"[') > text.rfind(']"') and (line := stream.readline()):
         text += line
-    return re.sub(r'"\[[^\]"]*\]"', lambda cell: cell[0].replace("\n", " "), text)
+    joined = re.sub(r'"\[[^\]"]*\]"', lambda cell: cell[0].replace("\n", " "), text)
+    return joined.removesuffix("\n").split("\n")
 
 
 def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
@@ -312,7 +312,7 @@ def _may_be_row(line: str) -> bool:
 
 def _is_text(line: str) -> bool:
     """Return whether a line is as long as those of text may be, and not binary."""
-    return len(line) < _LONGEST_LINE and not re.search(r"[\0-\x08\n-\x1f]", line)
+    return len(line) < _LONGEST_LINE and not re.search(r"[\0-\x08\x0b-\x1f]", line)
 
 
 def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
