@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16021,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 25407,
+    "robot_sysid/logs": 25408,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,

@@ -109,5 +109,8 @@ class FittedLogOptions(LogOptions):
         takes_many=True,
     )
     validation_measurements: tuple[Path, ...] = option(
-        (), "other logs, which only test the result", "LOG", takes_many=True
+        (),
+        "another log, which only tests the result; may be repeated, as for a pair of files",
+        "LOG",
+        repeats=True,
     )
