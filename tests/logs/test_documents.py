@@ -87,14 +87,35 @@ ORDER = [2, 0, 1]
                 for s in STATES
             ],
         },
+        {
+            "run": {
+                "joint_names": [JOINTS[k] for k in ORDER],
+                "time": DATA.time.astype(str).tolist(),
+                "q": DATA.q[:, ORDER].tolist(),
+                "tau": DATA.tau[:, ORDER].tolist(),
+                "gains": [1.0, 2.0],
+            },
+            "rate": 100,
+        },
     ],
-    ids=["texts", "pandas", "a list per joint", "names of all states"],
+    ids=["texts", "pandas", "a list per joint", "names of all states", "and of arrays"],
 )
 def test_numbers_in_json_are_found_in_any_arrangement(tmp_path, content):
     log = read(tmp_path, json.dumps(content))
     np.testing.assert_array_equal(log.time, DATA.time)
     np.testing.assert_array_equal(log.q, DATA.q)
     np.testing.assert_array_equal(log.tau, DATA.tau)
+
+
+def test_dates_and_missing_numbers_in_arrays_of_json_are_read(tmp_path):
+    dates = np.datetime64("2024-05-01") + (DATA.time * 1e9).round().astype("m8[ns]")
+    tau = DATA.tau.tolist()
+    tau[30][1] = None
+    content = {"time": dates.astype(str).tolist(), "q": DATA.q.tolist(), "tau": tau}
+    log = read(tmp_path, json.dumps(content))
+    kept = np.delete(np.arange(len(DATA)), 30)
+    np.testing.assert_allclose(log.time - log.time[0], DATA.time[kept], atol=1e-6)
+    np.testing.assert_array_equal(log.tau, DATA.tau[kept])
 
 
 def test_a_state_in_which_a_joint_is_missing_is_left_out(tmp_path):
