@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
     "robot_sysid": 11119,
-    "tests": 229613,
+    "tests": 229666,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

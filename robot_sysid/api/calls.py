@@ -90,7 +90,7 @@ def _log_source(log: Any) -> Any:
         except (ValueError, Warning):
             raise InputError(f"{name} is no array: its rows differ in length") from None
     table = arrays_table(Path("arrays"), "arrays in memory", arrays)
-    quantities = {read_title(title).quantity for title in table.titles}
+    quantities = {read_title(t).quantity_beside_name for t in table.titles}
     for name, array in arrays.items():
         quantity = read_title(name).quantity
         if quantity is not None and quantity not in quantities:

@@ -119,7 +119,10 @@ def test_a_text_stands_in_for_a_columns_file(workshop, model):
 @pytest.mark.slow
 def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result, model, log):
     arrays = recorded.arrays_of(log)
-    forms = (log, arrays, Recording(**arrays), frame_of(workshop / "log.csv"))
+    turned = {n: arrays[n][:, ::-1] for n in ("q", "tau")}
+    turned.update(time=log.time, joint_names=log.joint_names[::-1])
+    frame = frame_of(workshop / "log.csv")
+    forms = (log, arrays, Recording(**arrays), frame, turned)
     for form in forms:
         from_form = rs.identify(model, form)
         assert_allclose(from_form.theta, result.theta, rtol=1e-9)
