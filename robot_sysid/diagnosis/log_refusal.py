@@ -6,18 +6,14 @@ for each column that changes.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.column_map import declarations
+from robot_sysid.logs.column_map import column_text, declarations
 from robot_sysid.records import Column, ColumnMap, Recording
 from robot_sysid.records.option_fields import Columns
-
-# Titles that no columns file takes for a number, a factor, a key or a comment.
-_PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
 
 
 def refuse_for(logs: Sequence[Recording], finding: Finding) -> InputError:
@@ -90,9 +86,7 @@ def _column_text(titles: Sequence[str], column: Column, factor: float) -> str:
         column: the column as it was read.
         factor: by which its numbers are to be multiplied in addition.
     """
-    title = column.title
-    if titles.count(title) > 1 or not _PLAIN_TITLE.fullmatch(title):
-        title = f"#{column.index + 1}"
+    title = column_text(titles, column.index)
     total = factor * column.declared_factor
     signs = {1.0: "", -1.0: "-"}
     return f"{signs[total]}{title}" if total in signs else f"{total:.12g} * {title}"

@@ -43,12 +43,12 @@ from robot_sysid.logs.titles import (
     QUANTITIES,
     TIME_UNITS,
     UNITS,
+    Candidates,
     Title,
     UnrecognisedError,
     ambiguity_error,
     fit_pattern,
     match_joints,
-    measured_columns,
     read_title,
 )
 from robot_sysid.records import Array, Column, ColumnMap, RobotModel
@@ -68,6 +68,8 @@ _SCALED = re.compile(
 )
 # Columns by their numbers: "#2..#7".
 _RANGE = re.compile(r"#(\d+) *\.\. *#(\d+)", re.ASCII)
+# Titles that a line does not take for a number, a list, another key or a blank.
+_PLAIN_TITLE = re.compile(r"[^\s#,=?]([^#,=?\x00-\x1f]*[^\s#,=?])?")
 # Kind of unit to those that a user may declare.
 _UNIT_FORMS = {
     "angle_unit": re.compile(r"rad|mrad|deg|cdeg|rev|[1-9]\d*(\.\d+)?/rev", re.ASCII),
@@ -167,6 +169,19 @@ def declarations(source: Path | str) -> Mapping[str, str]:
     return values
 
 
+def is_plain_title(text: str) -> bool:
+    """Return whether a line can state a title, or a pattern of titles, as it is."""
+    is_other = text == "none" or _SCALED.fullmatch(text)
+    return bool(_PLAIN_TITLE.fullmatch(text)) and not is_other
+
+
+def column_text(titles: Sequence[str], index: int) -> str:
+    """Return what a line calls a column: its title, or its number where that would not do."""
+    title = titles[index]
+    is_clear = is_plain_title(title) and titles.count(title) == 1
+    return title if is_clear else f"#{index + 1}"
+
+
 def read_columns(source: Path | str, joint_names: Sequence[str]) -> ColumnChoices:
     """Return the declarations of a columns file or line, for a chain with these joints (n,).
 
@@ -196,77 +211,63 @@ def read_columns(source: Path | str, joint_names: Sequence[str]) -> ColumnChoice
     return replace(units, time=values.get("time"), columns=columns, rate=rate)
 
 
-def column_finder(
-    titles: Sequence[str],
-    robot: RobotModel,
-    choices: ColumnChoices,
-    first_row: Sequence[str],
-    currents: bool,
-    commanded: bool,
-) -> ColumnFinder:
-    """Return what finds the column of each quantity of each joint.
+@dataclass(frozen=True)
+class ColumnFinder:
+    """Finds the columns of each quantity of one log.
 
-    Args:
-        titles: header cells; "#1", "#2", ... where the file has no header.
+    Attributes:
+        texts: header cells; "#1", "#2", ... where the file has no header.
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
         first_row: the first row of data as text (it may hold joint names, as ROS logs do).
         currents: whether columns of motor currents are read in place of torques.
         commanded: whether columns of commanded positions are read in place of torques.
     """
-    read_titles = [read_title(text, robot.joint_names) for text in titles]
-    driven = "command" if commanded else "torque"
-    quantities = [title.quantity_beside_name for title in read_titles]
-    if currents and quantities.count("current") >= robot.n_joints:
-        driven = "current"
-    return ColumnFinder(read_titles, robot, choices, driven, first_row)
 
-
-@dataclass(frozen=True)
-class ColumnFinder:
-    """Finds the columns of each quantity of one log.
-
-    Attributes:
-        titles: of the columns, cut into tokens, numbers and unit.
-        robot: the arm, whose joints the columns are for.
-        choices: declarations, which outrank the titles.
-        driven: the quantity that is needed beside positions, "torque", "current" or "command".
-        first_row: of the log, as text.
-    """
-
-    titles: Sequence[Title]
+    texts: Sequence[str]
     robot: RobotModel
     choices: ColumnChoices
-    driven: str
     first_row: Sequence[str]
+    currents: bool
+    commanded: bool
     _pattern_notes: list[str] = field(default_factory=list)
 
-    @property
-    def texts(self) -> list[str]:
-        """The titles as the file has them."""
-        return [title.text for title in self.titles]
+    @cached_property
+    def titles(self) -> Sequence[Title]:
+        """The header cells, cut into tokens, numbers and unit."""
+        return [read_title(text, self.robot.joint_names) for text in self.texts]
+
+    @cached_property
+    def driven(self) -> str:
+        """The quantity that is needed beside positions, "torque", "current" or "command"."""
+        if self.commanded:
+            return "command"
+        has_currents = len(self._texts_of("current")) >= self.robot.n_joints
+        return "current" if self.currents and has_currents else "torque"
+
+    def _texts_of(self, quantity: str) -> list[str]:
+        """Return the titles that name a quantity beside other words."""
+        return [t.text for t in self.titles if t.quantity_beside_name == quantity]
 
     @cached_property
     def _declared(self) -> Mapping[str, Mapping[str, _Source | None]]:
         """Quantity to joint name to the column that is declared; None for one that has none."""
         joint_names = self.robot.joint_names
-        declared = {}
+        declared: dict[str, dict[str, _Source | None]] = {}
         for key, values in self.choices.columns.items():
             if key == "zero":
                 continue
-            sources: dict[str, _Source | None] = {}
-            for joint, value in values.items():
-                names = [joint] if joint else joint_names
-                found: Sequence[_Source | None] = [None] * len(names)
-                # Of single joints, only the torque may be missing.
-                if value != "none" or (joint and key not in ("torque", self.driven)):
-                    found = (
-                        [self._look_up(value)] if joint else self._look_up_all(value)
-                    )
-                sources.update(zip(names, found))
             # Currents are declared as torques.
             quantity = "current" if (key, self.driven) == ("torque", "current") else key
-            declared[quantity] = sources
+            sources = declared.setdefault(quantity, {})
+            for joint, value in values.items():
+                # Of single joints, only the torque may be missing.
+                if value == "none" and (not joint or key in ("torque", self.driven)):
+                    sources.update(dict.fromkeys([joint] if joint else joint_names))
+                elif joint:
+                    sources[joint] = self._look_up(value)
+                else:
+                    sources.update(zip(joint_names, self._look_up_all(value)))
         return declared
 
     @cached_property
@@ -278,16 +279,23 @@ class ColumnFinder:
             zeros[at] = joint_values(parse_numbers(value), len(zeros[at]), "zero")
         return zeros
 
+    @cached_property
+    def _matched(self) -> tuple[Candidates, str]:
+        """The candidate columns of quantities, and a note on the joints' names."""
+        quantities = ("position", "velocity", "joint_time", self.driven)
+        # Those that are declared need not be recognised.
+        n_joints = self.robot.n_joints
+        undeclared = [
+            q for q in quantities if len(self._declared.get(q, ())) < n_joints
+        ]
+        return match_joints(self.titles, self.robot, self.first_row, undeclared)
+
     def recognise(self, quantity: str) -> tuple[Column, ...]:
         """Return the columns of a quantity, or of the time, as they are found; () for none."""
         try:
             if quantity == "time":
                 return tuple(filter(None, [self.find_time()]))
-            sought = [*{"position", quantity}]
-            candidates, _ = match_joints(
-                self.titles, self.robot, self.first_row, sought
-            )
-            return self._find_joints(quantity, candidates.get(quantity, ()))
+            return self._find_joints(quantity)
         except InputError:
             return ()
 
@@ -298,33 +306,17 @@ class ColumnFinder:
             UnrecognisedError: a quantity is missing, or has two candidates.
             InputError: it contradicts the declared units, or what is declared is not there.
         """
-        quantities = ("position", "velocity", "joint_time", self.driven)
-        # Those that are declared need not be recognised, and cannot be ambiguous.
-        n_joints = self.robot.n_joints
-        open_quantities = [
-            q for q in quantities if len(self._declared.get(q, ())) < n_joints
-        ]
-        needed = ("position", self.driven, *self._declared)
-        try:
-            candidates, joint_note = match_joints(
-                self.titles, self.robot, self.first_row, open_quantities
-            )
-        except InputError:
-            open_quantities = [q for q in open_quantities if q in needed]
-            candidates, joint_note = match_joints(
-                self.titles, self.robot, self.first_row, open_quantities
-            )
+        _, joint_note = self._matched
         notes = [joint_note, *self._pattern_notes]
         found: dict[str, tuple[Column, ...]] = {}
-        for quantity in quantities:
+        for quantity in ("position", "velocity", "joint_time", self.driven):
             try:
-                columns = self._find_joints(quantity, candidates.get(quantity, ()))
+                found[quantity] = self._find_joints(quantity)
             except InputError as error:
-                if quantity in needed:
+                if quantity in ("position", self.driven, *self._declared):
                     raise
-                columns = ()
+                found[quantity] = ()
                 notes.append(f"{quantity} is not used, and not needed: {error}")
-            found[quantity] = columns
         position = found["position"]
         torque = found[self.driven]
         if not position or not torque:
@@ -336,7 +328,7 @@ class ColumnFinder:
         )
         has_unit = all(self.titles[column.index].unit for column in position)
         kinds = {self.titles[column.index].torque_kind for column in torque}
-        for kind in {"commanded", "computed"} & kinds:
+        for kind in sorted({"commanded", "computed"} & kinds):
             notes.append(f"torques are {kind}, not measured, as they were declared")
         unused = self._unused_torques({column.index for column in torque})
         if unused and self.driven == "torque":
@@ -351,25 +343,20 @@ class ColumnFinder:
             titles=self.texts,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             length_declared=bool(self.choices.length_unit) or has_unit,
-            commanded=self.driven == "command",
+            commanded=self.commanded,
             notes=tuple(filter(None, notes)),
         )
 
-    def _find_joints(
-        self, quantity: str, candidates: Sequence[Sequence[int]]
-    ) -> tuple[Column, ...]:
-        """Return one column per joint, or () where an optional quantity lacks a joint's.
-
-        ``candidates``: indices of the columns that could be it, for each joint; or none.
-        """
+    def _find_joints(self, quantity: str) -> tuple[Column, ...]:
+        """Return one column per joint, or () where an optional quantity lacks a joint's."""
+        names = self.robot.joint_names
         declared = self._declared.get(quantity, {})
-        if [*declared.values()] == [None] * self.robot.n_joints:
+        if [*declared.values()] == [None] * len(names):
             return ()
+        candidates, _ = self._matched
         columns = []
-        for joint, name in enumerate(self.robot.joint_names):
-            indices = candidates[joint] if candidates else ()
-            if len(indices) > 1:
-                indices = measured_columns(self.titles, indices)
+        for joint, name in enumerate(names):
+            indices = candidates.get(quantity, [()] * len(names))[joint]
             source = declared.get(name)
             if source:
                 columns.append(self._column(quantity, joint, *source))
@@ -379,7 +366,7 @@ class ColumnFinder:
                 raise ambiguity_error(quantity, name, self.titles, indices)
             elif indices:
                 columns.append(self._column(quantity, joint, indices[0]))
-        if len(columns) == self.robot.n_joints:
+        if len(columns) == len(names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
             raise self._missing_error(quantity)
@@ -416,30 +403,32 @@ class ColumnFinder:
             f"the log needs one {quantity} column for each joint of the chain "
             f"({', '.join(self.robot.joint_names)}): found {listed}"
         )
-        currents = [t for t in self.titles if t.quantity_beside_name == "current"]
-        if quantity == "torque" and len(currents) >= n_joints:
+        if quantity == "command":
+            fault += " (titles such as action, command, q_des or goal_position)"
+        if quantity != "torque":
+            return UnrecognisedError(fault)
+        currents = self._texts_of("current")
+        if len(currents) >= n_joints:
             # With constants, the columns are complete: no columns file is needed.
             fault += (
-                f"; {currents[0].text}, ... are motor currents: give "
+                f"; {currents[0]}, ... are motor currents: give "
                 f"{option_name('torque_constants')}; where they "
                 "are not known, begin with 1 N·m/A, and a weight of known mass shows them"
             )
             return InputError(fault, [("--torque-constants", "1")])
         torques = self._unused_torques()
-        commands = [t for t in self.titles if t.quantity_beside_name == "command"]
-        if quantity == "torque" and len(commands) >= n_joints and not torques:
+        commands = self._texts_of("command")
+        if len(commands) >= n_joints and not torques:
             fault += (
-                f"; {commands[0].text}, ... are commanded positions, as of position servos: "
+                f"; {commands[0]}, ... are commanded positions, as of position servos: "
                 "identify --torque-from position-error takes the torque from the distance of "
                 "positions to them; torques that it has are named with "
                 f"{option_name('columns', 'FILE')}"
             )
             option = ("--torque-from", "position-error")
             return InputError(fault, [option], command="identify")
-        if quantity == "command":
-            fault += " (titles such as action, command, q_des or goal_position)"
         others = [text for text in torques if "(measured)" not in text]
-        if quantity == "torque" and others:
+        if others:
             fault += f"; not measured are {', '.join(others)}"
         return UnrecognisedError(fault)
 
@@ -522,15 +511,16 @@ class ColumnFinder:
             declared_unit = self.choices.length_unit
         units = UNITS[quantity]
         declared = unit_value(declared_unit, units)
-        to_si = units.get(title.unit, declared) if title.unit else declared
+        to_si = units.get(title.unit, declared)
         if to_si is None and title.unit and abs(factor) == 1.0:
-            fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {quantity}"
             raise InputError(
-                f"{fault}; rename the column, or scale it with "
-                f"{option_name('columns', 'FILE')}"
+                f"unit {title.unit!r} of column {title.text!r} is unknown for a {quantity}; "
+                f"rename the column, or scale it with {option_name('columns', 'FILE')}"
             )
         if declared is not None and to_si != declared:
-            fault = f"column {title.text!r} names a unit that contradicts the declared units"
-            raise InputError(f"{fault}; declare what the column holds, or rename it")
+            raise InputError(
+                f"column {title.text!r} names a unit that contradicts the declared units; declare "
+                "what the column holds, or rename it"
+            )
         zero = self._zeros[joint] if quantity in ("position", "command") else 0.0
         return Column(index, title.text, factor * (to_si or 1.0), factor, float(zero))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnChoices, column_finder
+from robot_sysid.logs.column_map import ColumnChoices, ColumnFinder
 from robot_sysid.logs.table import LogTable, array_blocks
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, Column, RobotModel
@@ -78,7 +78,7 @@ def _find(
 
     def recognise(key: str, **columns: Any) -> Sequence[Column]:
         stated = replace(choices, columns=columns).over(table.choices)
-        finder = column_finder(
+        finder = ColumnFinder(
             table.titles, robot, stated, table.first_row, False, "command" in driven
         )
         return finder.recognise(key)

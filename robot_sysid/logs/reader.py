@@ -24,7 +24,7 @@ from robot_sysid.logs import LogOptions, arrays, documents
 from robot_sysid.logs.checks import read_recording
 from robot_sysid.logs.column_map import (
     ColumnChoices,
-    column_finder,
+    ColumnFinder,
     declarations,
     parse_units,
     read_columns,
@@ -165,7 +165,7 @@ def _map_columns(
     declared = declarations(options.columns) if options.columns else {}
     choices = _stated_choices(options, robot).over(table.choices)
     currents = options.torque_constants is not None
-    finder = column_finder(
+    finder = ColumnFinder(
         table.titles, robot, choices, table.first_row, currents, options.commanded
     )
     try:
@@ -174,15 +174,13 @@ def _map_columns(
         fault = f"{path}: {error}"
         suggestion = None
         if isinstance(error, UnrecognisedError):
-            suggestion = suggest_columns(table, finder)
+            suggestion = suggest_columns(table, finder, declared)
         if suggestion is None:
             if not error.options:
                 titles = ", ".join(table.titles)
                 fault += f"; {with_option_names(_REMEDY)}; {_HALF}. Columns: {titles}"
             raise InputError(fault, error.options, error.command) from None
-    entries = {**declared, **suggestion.entries}
-    if "units" in declared and suggestion.units:
-        entries["units"] = f"{declared['units']}, {suggestion.entries['units']}"
+    entries = suggestion.entries
     line = ", ".join(f"{key} = {value}" for key, value in entries.items())
     is_complete = BLANK not in line.replace(",", " ").split()
     if BLANK in map(entries.get, ("position", "torque")):

@@ -10,7 +10,8 @@ the line has a "?", which is refused until it is filled in.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice, permutations
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.column_map import ColumnFinder, column_text, is_plain_title
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import (
     TIME_UNITS,
@@ -34,8 +35,6 @@ BLANK = "?"
 """What stands for a column or a unit that could not be told."""
 # Cells of a first row that are numbers, times or empty.
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
-# Titles that a line takes for nothing else.
-_PLAIN_TITLE = re.compile(r"[^\s=?#]([^=?#\x00-\x1f]*[^\s=?#])?")
 # Words of titles of an encoder's counts, which are positions.
 _COUNTS = token_set("ticks counts encoder enc")
 # Excess over a joint's range that a zero elsewhere may make (chosen).
@@ -83,8 +82,10 @@ class Suggestion:
         finder: of the log's columns, with what was declared.
         samples: (N, C) numbers of all columns.
         groups: of columns.
+        declared: key to value of the line that was given.
 
     Attributes:
+        others: columns (indices) that are in no group.
         entries: key to value of the line.
         further: options that it needs beside.
         units: of the line.
@@ -94,15 +95,22 @@ class Suggestion:
     """
 
     def __init__(
-        self, finder: ColumnFinder, samples: Array, groups: Sequence[Group]
+        self,
+        finder: ColumnFinder,
+        samples: Array,
+        groups: Sequence[Group],
+        declared: Mapping[str, str],
     ) -> None:
         self.finder = finder
         self.samples = samples
         self.groups = groups
-        self.entries: dict[str, str] = {}
+        grouped = {*chain.from_iterable(group.columns for group in groups)}
+        self.others = [k for k in range(len(finder.texts)) if k not in grouped]
+        self.entries = {**declared}
         self.further: tuple[str, ...] = ()
-        self.units: list[str] = []
-        self.reasons: list[str] = []
+        self.units = [*filter(None, [declared.get("units")])]
+        texts = [*map(str, groups), *(finder.texts[k] for k in self.others)]
+        self.reasons = [f"its columns are {', '.join(texts)}"]
         self.clock = np.arange(len(samples), dtype=float)
         self.position: Array | None = None
 
@@ -114,8 +122,7 @@ class Suggestion:
             return
         indices = [column.index for column in finder.recognise("time")]
         if not indices:
-            grouped = {*chain.from_iterable(group.columns for group in self.groups)}
-            steady = [k for k in _steady_columns(self.samples) if k not in grouped]
+            steady = [k for k in _steady_columns(self.samples) if k in self.others]
             # A column that counts rows is no clock, unless it is called so.
             titles = finder.titles
             named = [k for k in steady if titles[k].quantity_beside_name == "time"]
@@ -125,7 +132,7 @@ class Suggestion:
             self.entries[key] = BLANK
             if len(indices) != 1:
                 return
-            self.entries[key] = _column_text(finder.texts, indices)
+            self.entries[key] = column_text(finder.texts, indices[0])
             self.reasons.append(f"{finder.texts[indices[0]]!r} increases steadily")
         unit = finder.titles[indices[0]].unit or finder.choices.time_unit
         self.clock = self.samples[:, indices[0]] * UNITS["time"].get(unit or "s", 1.0)
@@ -139,15 +146,6 @@ class Suggestion:
 
     def find_motion(self) -> None:
         """Find positions with their units, and velocities, the derivative of positions."""
-        ratios = {}
-        motions = [
-            g for g in self.groups if g.quantity in (None, "position", "velocity")
-        ]
-        moves = {g.text: _moves(g.samples, self.clock) for g in motions}
-        for text, other in permutations(moves, 2):
-            ratio = _derivative_ratio(moves[text][0], moves[other][1])
-            if ratio:
-                ratios[text, other] = ratio
         found = self.finder.recognise("position")
         if found:
             samples = self.samples[:, [column.index for column in found]]
@@ -155,6 +153,16 @@ class Suggestion:
             self._find_units((samples - zeros) * [column.factor for column in found])
             return
         self.entries["position"] = BLANK
+        motions = [
+            g for g in self.groups if g.quantity in (None, "position", "velocity")
+        ]
+        moves = {g.text: _moves(g.samples, self.clock) for g in motions}
+        # Columns and their derivatives to the ratio of these.
+        ratios = {}
+        for text, other in permutations(moves, 2):
+            ratio = _derivative_ratio(moves[text][0], moves[other][1])
+            if ratio:
+                ratios[text, other] = ratio
         derived = {text for _, text in ratios}
         candidates = self._of_quantity("position")
         if not candidates:
@@ -170,7 +178,7 @@ class Suggestion:
         for group in motions:
             ratio = ratios.get((position.text, group.text), 0.0)
             condition = ""
-            if "rate" in self.entries and 10.0 <= ratio <= 5000.0:
+            if self.entries.get("rate") == BLANK and 10.0 <= ratio <= 5000.0:
                 self.entries["rate"] = f"{float(f'{ratio:.3g}'):g}"
                 condition = " at that rate, if both are in one unit"
                 ratio = 1.0
@@ -263,22 +271,21 @@ class Suggestion:
         return True
 
 
-def suggest_columns(table: LogTable, finder: ColumnFinder) -> Suggestion | None:
+def suggest_columns(
+    table: LogTable, finder: ColumnFinder, declared: Mapping[str, str]
+) -> Suggestion | None:
     """Return the declarations that a log lacks; None where no columns are a group.
 
     Args:
         table: the log.
         finder: of its columns, with what was declared.
+        declared: key to value of the line that was given.
     """
     samples = _read_samples(table)
     groups = [*_find_groups(finder, samples)]
     if not groups:
         return None
-    grouped = {*chain.from_iterable(group.columns for group in groups)}
-    others = [t for k, t in enumerate(finder.texts) if k not in grouped]
-    listed = ", ".join([*map(str, groups), *others])
-    suggestion = Suggestion(finder, samples, groups)
-    suggestion.reasons.append(f"its columns are {listed}")
+    suggestion = Suggestion(finder, samples, groups, declared)
     suggestion.find_time()
     suggestion.find_motion()
     suggestion.find_driven()
@@ -292,17 +299,16 @@ def _read_samples(table: LogTable) -> Array:
 
     What is missing elsewhere is interpolated.
     """
-    columns = [*range(len(table.titles))]
-    if table.first_row:
-        columns = [k for k in columns if _NUMBER.fullmatch(table.first_row[k])]
+    first_row = table.first_row or [""] * len(table.titles)
+    columns = [k for k, cell in enumerate(first_row) if _NUMBER.fullmatch(cell)]
     # 50 000 rows, or 5 million characters.
     blocks = islice(table.rows(columns), 5)
     cells = np.vstack([np.empty((0, len(columns))), *(b.cells for b in blocks)])
+    rows = np.arange(len(cells))
     samples = np.full((len(cells), len(table.titles)), np.nan)
     for column, numbers in zip(columns, cells.T):
         known = np.flatnonzero(np.isfinite(numbers))
         if len(known):
-            rows = np.arange(len(numbers))
             samples[:, column] = np.interp(rows, known, numbers[known])
     return samples
 
@@ -315,7 +321,7 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
     found: dict[tuple[int, ...], str] = {}
     if len(names) == 1:
         found = {(k,): "" for k in numbers}
-    elif texts == _numbered(len(texts)):
+    elif all(text == f"#{k}" for k, text in enumerate(texts, 1)):
         # What is beside full runs of joints is time.
         times = _steady_columns(samples)[: len(numbers) % len(names)]
         others = [k for k in numbers if k not in times]
@@ -324,18 +330,15 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
             found[run] = f"#{run[0] + 1}..#{run[-1] + 1}" if is_run else ""
     else:
         for pattern in chain.from_iterable(_patterns(text, names) for text in texts):
-            try:
-                columns, _ = fit_pattern(pattern, texts, names)
-            except InputError:
-                continue
-            is_whole = finder.split_factor(pattern) == (pattern, 1.0)
-            is_plain = is_whole and _PLAIN_TITLE.fullmatch(pattern)
-            found.setdefault(tuple(columns), pattern if is_plain else "")
+            with suppress(InputError):
+                columns = tuple(fit_pattern(pattern, texts, names)[0])
+                found.setdefault(columns, pattern if is_plain_title(pattern) else "")
     for columns, text in sorted(found.items()):
-        if columns and {*columns} <= {*numbers}:
-            text = text or _column_text(texts, columns)
-            title = finder.titles[columns[0]]
-            yield Group(text, title, columns, samples[:, [*columns]])
+        if not columns or not {*columns} <= {*numbers}:
+            continue
+        title = finder.titles[columns[0]]
+        text = text or ", ".join(column_text(texts, k) for k in columns)
+        yield Group(text, title, columns, samples[:, [*columns]])
 
 
 def _patterns(title: str, joint_names: Sequence[str]) -> list[str]:
@@ -345,30 +348,14 @@ def _patterns(title: str, joint_names: Sequence[str]) -> list[str]:
     return patterns + [title.replace(n, "*") for n in joint_names if n in title]
 
 
-def _numbered(count: int) -> list[str]:
-    """Return "#1", "#2", ..., the titles of columns without titles."""
-    return [f"#{number}" for number in range(1, count + 1)]
-
-
-def _column_text(texts: Sequence[str], columns: Sequence[int]) -> str:
-    """Return what a line calls columns: a title that is plain and there once, else numbers."""
-    title = texts[columns[0]]
-    if len(columns) == 1 and texts.count(title) == 1 and _PLAIN_TITLE.fullmatch(title):
-        return title
-    return ", ".join(f"#{column + 1}" for column in columns)
-
-
 def _steady_columns(samples: Array) -> list[int]:
     """Return the columns (indices) that increase from row to row by steps of about one size."""
-    steady = []
-    for column, values in enumerate(samples.T):
-        step = np.diff(values)
-        if len(step) < 10 or np.mean(step > 0.0) < 0.99:
-            continue
-        low, high = np.percentile(step, (10, 90))
-        if high < 10.0 * low:
-            steady.append(column)
-    return steady
+    step = np.diff(samples, axis=0)
+    if len(step) < 10:
+        return []
+    low, high = np.percentile(step, (10, 90), axis=0)
+    is_steady = (np.mean(step > 0.0, axis=0) >= 0.99) & (high < 10.0 * low)
+    return np.flatnonzero(is_steady).tolist()
 
 
 def _moves(samples: Array, clock: Array) -> tuple[Array, Array]:

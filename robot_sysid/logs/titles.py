@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -300,32 +300,32 @@ def fit_pattern(
     for star in re.finditer(r"\*", pattern):
         front = re.escape(pattern[: star.start()])
         back = re.escape(pattern[star.end() :])
-        form = re.compile(rf"{front}(.+){back}")
-        fits = [match and match[1] for match in map(form.fullmatch, titles)]
-        names = {text: column for column, text in enumerate(fits) if text}
-        counted = {text: names[text] for text in names if text.isdecimal()}
-        columns: list[int] = []
+        matches = map(re.compile(f"{front}(.+){back}").fullmatch, titles)
+        fits = [(m[1], column) for column, m in enumerate(matches) if m]
+        counted = [fit for fit in fits if fit[0].isdecimal()]
+        fits = counted or fits
+        if not fits:
+            continue
+        names = dict(fits)
         note = ""
+        ordered: Iterable[str]
         if counted:
-            names = counted
-            numbers = {int(text): column for text, column in names.items()}
+            numbers = {int(text): text for text in names}
             order = _order_of_numbers([*map(int, names)], joint_names, is_declared=True)
-            columns = [numbers[number] for number in order]
-        elif names:
-            matched = match_joint_names([*names], joint_names)
-            columns = [names[text] for text in matched]
+            ordered = [numbers[number] for number in order]
+        else:
+            ordered = matched = match_joint_names([*names], joint_names)
             note = joint_note(matched, [*names])
-        # Less than that of the titles where two are the same.
-        count = sum(text in names for text in fits)
-        if columns and count == len(names):
+        columns = [names[text] for text in ordered]
+        # Of two equal titles, one is lost.
+        if columns and len(fits) == len(names):
             return columns, note
-        if names:
-            listed = ", ".join(t for t, text in zip(titles, fits) if text in names)
-            raise InputError(
-                f"{pattern!r} fits {count} columns ({listed}), and not one for each of the "
-                f"{len(joint_names)} joints ({', '.join(joint_names)}): list the columns instead, "
-                "base to last joint"
-            )
+        listed = ", ".join(titles[column] for _, column in fits)
+        raise InputError(
+            f"{pattern!r} fits {len(fits)} columns ({listed}), and not one for each of the "
+            f"{len(joint_names)} joints ({', '.join(joint_names)}): list the columns instead, "
+            "base to last joint"
+        )
     return (), ""
 
 
@@ -343,7 +343,8 @@ def match_joints(
 ) -> tuple[Candidates, str]:
     """Return the candidate columns of quantities, and a note on how joint names were matched.
 
-    A quantity of which a joint has no candidate is left out.
+    Joints have several candidates where titles name and count them, or occur twice; none where one
+    of them would have none.
 
     Args:
         titles: of all columns, from left to right.
@@ -352,8 +353,7 @@ def match_joints(
         quantities: of ``Title.joint_quantity``.
 
     Raises:
-        InputError: two columns could be one quantity, or the joints' names are those of two arms,
-            or of another arm.
+        InputError: the joints' names are those of two arms, or of another arm.
     """
     joint_names = robot.joint_names
     listed_names = _listed_names(titles, first_row, robot.n_joints)
@@ -376,28 +376,24 @@ def match_joints(
             by_number[quantity].setdefault(numbers[0], []).append(column)
     names = [*by_name["position"]] if "position" in quantities else []
     matched = match_joint_names(names, joint_names)
-    # Names decide for all joints of a quantity or for none.
     candidates = {}
     for quantity in quantities:
-        columns = [by_name[quantity].get(name, []) for name in matched or joint_names]
-        if all(columns):
-            candidates[quantity] = columns
-    note = joint_note(matched, names)
-    if listed_names:
-        return candidates, note
-    named = {*chain(*chain(*candidates.values()))}
-    for quantity in quantities:
+        named = [by_name[quantity].get(name, []) for name in matched or joint_names]
+        # Names decide for all joints of a quantity or for none.
+        if not all(named):
+            named = [[]] * robot.n_joints
+        taken = {*chain(*named)}
         counted = {}
         for number, indices in by_number[quantity].items():
-            if others := [column for column in indices if column not in named]:
+            if others := [column for column in indices if column not in taken]:
                 counted[number] = others
-        order = _order_of_numbers([*counted], joint_names)
-        if order and quantity in candidates:
-            rivals = [candidates[quantity][0][0], counted[order[0]][0]]
-            raise ambiguity_error(quantity, joint_names[0], titles, rivals)
-        if order:
-            candidates[quantity] = [counted[number] for number in order]
-    return candidates, note
+        order = () if listed_names else _order_of_numbers([*counted], joint_names)
+        numbered = [counted[k] for k in order] or [[]] * robot.n_joints
+        candidates[quantity] = [
+            [*measured_columns(titles, each), *measured_columns(titles, others)]
+            for each, others in zip(named, numbered)
+        ]
+    return candidates, joint_note(matched, names)
 
 
 def _order_of_numbers(

@@ -13,7 +13,7 @@ from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import steps
 from robot_sysid.errors import ColumnsError
-from robot_sysid.logs.column_map import column_finder, read_columns
+from robot_sysid.logs.column_map import ColumnFinder, read_columns
 from robot_sysid.records.messages import Level
 
 ROBOT = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:3]))
@@ -32,7 +32,7 @@ CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.text]
 
 def columns_of(titles, path):
     choices = read_columns(path, NAMES)
-    finder = column_finder(
+    finder = ColumnFinder(
         ["time", *titles], ROBOT, choices, (), currents=False, commanded=False
     )
     return finder.find_all()

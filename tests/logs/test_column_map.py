@@ -27,7 +27,7 @@ def recognise(
 ) -> ColumnMap:
     choices = choices or column_map.ColumnChoices()
     robot = arm_of(joints, is_slide=is_slide)
-    finder = column_map.column_finder(
+    finder = column_map.ColumnFinder(
         titles.split(","), robot, choices, first_row, currents=False, commanded=False
     )
     return finder.find_all()
@@ -304,7 +304,7 @@ def test_a_pattern_or_a_range_stands_for_the_columns_of_all_joints(
     # A title may hold a comma, which separates titles in this test.
     choices = column_map.read_columns(line, JOINTS)
     texts = [title.replace(";", ",") for title in titles.split(",")]
-    finder = column_map.column_finder(
+    finder = column_map.ColumnFinder(
         texts, arm_of(JOINTS), choices, (), currents=False, commanded=False
     )
     columns = finder.find_all()
