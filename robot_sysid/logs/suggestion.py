@@ -20,6 +20,7 @@ import numpy as np
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder, column_text, is_plain_title
+from robot_sysid.logs.joint_names import are_opposite_sides, split_name
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import (
     TIME_UNITS,
@@ -314,9 +315,14 @@ def _read_samples(table: LogTable) -> Array:
 
 
 def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
-    """Yield the groups of columns of numbers, from left to right."""
+    """Yield the groups of columns of numbers, from left to right.
+
+    Columns of the other arm of two are none, nor are constants, which no sensor of a moving arm
+    reads at all joints.
+    """
     texts = finder.texts
     names = finder.robot.joint_names
+    own_pieces = {*chain.from_iterable(map(split_name, names))}
     numbers = np.flatnonzero(np.isfinite(samples).any(axis=0)).tolist()
     found: dict[tuple[int, ...], str] = {}
     if len(names) == 1:
@@ -337,8 +343,11 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
         if not columns or not {*columns} <= {*numbers}:
             continue
         title = finder.titles[columns[0]]
-        text = text or ", ".join(column_text(texts, k) for k in columns)
-        yield Group(text, title, columns, samples[:, [*columns]])
+        values = samples[:, [*columns]]
+        is_other_arm = are_opposite_sides({*split_name(title.text)}, own_pieces)
+        if np.ptp(values, axis=0).any() and not is_other_arm:
+            text = text or ", ".join(column_text(texts, k) for k in columns)
+            yield Group(text, title, columns, values)
 
 
 def _patterns(title: str, joint_names: Sequence[str]) -> list[str]:

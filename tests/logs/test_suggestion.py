@@ -45,6 +45,7 @@ def signals_of(log) -> dict[str, np.ndarray]:
         "ticks": 2048.0 + np.round(TURN * log.q),
         "heat": log.tau + 40.0,
         "warm": 0.0 * log.tau + 40.0 * np.eye(log.tau.shape[1])[1],
+        "zeros": 0.0 * log.tau,
         "soll": np.degrees(log.q) + 0.01,
     }
 
@@ -162,6 +163,7 @@ BLANKS = {
     "speeds": ({"time": "t", "q{}": "q", "x{}": "deg/s"}, "torque"),
     "heat": ({"time": "t", "q{}": "q", "x{}": "heat"}, "torque"),
     "constants": ({"time": "t", "q{}": "q", "x{}": "warm"}, "torque"),
+    "zeros": ({"time": "t", "q{}": "q", "x{}_tau_y": "zeros"}, "torque"),
 }
 """Title to signal of a log, and the key that cannot be told."""
 
@@ -174,6 +176,16 @@ def test_what_cannot_be_told_is_a_blank_and_refused(truth, tmp_path, name):
     assert f"{key} = ?" in line
     with refused(f"{key} = .* is a blank"):
         open_log(truth.robot, path, LogOptions(columns=line))
+
+
+def test_torques_of_the_other_arm_are_not_proposed(truth, tmp_path):
+    columns = {"time": "t", "right_j{}_pos_x": "q", "left_j{}_trq_x": "tau"}
+    path = write_twin(tmp_path / "log.csv", truth.log, columns)
+    for side, torque in (("left", "left_j*_trq_x"), ("right", "?")):
+        names = tuple(f"{side}_j{k}" for k in range(1, 5))
+        robot = replace(truth.robot, joint_names=names)
+        _, line = suggested(robot, path, columns="position = right_j*_pos_x")
+        assert line == f"position = right_j*_pos_x, torque = {torque}"
 
 
 def test_what_was_declared_stays_in_the_line(truth, tmp_path):
