@@ -279,16 +279,19 @@ class ColumnFinder:
             zeros[at] = joint_values(parse_numbers(value), len(zeros[at]), "zero")
         return zeros
 
+    @property
+    def _quantities(self) -> Sequence[str]:
+        """Those with a column per joint that are looked for."""
+        return "position", "velocity", "joint_time", self.driven
+
     @cached_property
     def _matched(self) -> tuple[Candidates, str]:
         """The candidate columns of quantities, and a note on the joints' names."""
-        quantities = ("position", "velocity", "joint_time", self.driven)
-        # Those that are declared need not be recognised.
-        n_joints = self.robot.n_joints
-        undeclared = [
-            q for q in quantities if len(self._declared.get(q, ())) < n_joints
-        ]
-        return match_joints(self.titles, self.robot, self.first_row, undeclared)
+        declared = self._declared.get("position", ())
+        has_names = len(declared) < self.robot.n_joints
+        return match_joints(
+            self.titles, self.robot, self.first_row, self._quantities, has_names
+        )
 
     def recognise(self, quantity: str) -> tuple[Column, ...]:
         """Return the columns of a quantity, or of the time, as they are found; () for none."""
@@ -309,7 +312,7 @@ class ColumnFinder:
         _, joint_note = self._matched
         notes = [joint_note, *self._pattern_notes]
         found: dict[str, tuple[Column, ...]] = {}
-        for quantity in ("position", "velocity", "joint_time", self.driven):
+        for quantity in self._quantities:
             try:
                 found[quantity] = self._find_joints(quantity)
             except InputError as error:
@@ -356,7 +359,7 @@ class ColumnFinder:
         candidates, _ = self._matched
         columns = []
         for joint, name in enumerate(names):
-            indices = candidates.get(quantity, [()] * len(names))[joint]
+            indices = candidates[quantity][joint]
             source = declared.get(name)
             if source:
                 columns.append(self._column(quantity, joint, *source))

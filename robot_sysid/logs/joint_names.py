@@ -49,10 +49,12 @@ def match_joint_names(
         InputError: several sets of names fit, two names fit one joint, or the set is that of the
             other arm of two.
     """
-    names = list(dict.fromkeys(names))
+    if {*joint_names} <= {*names}:
+        # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
+        return {name: name for name in joint_names}
     arm_context, cores = _context_and_cores(joint_names)
     contexts: dict[NameContext, dict[NamePieces, list[str]]] = {}
-    for name in names:
+    for name in dict.fromkeys(names):
         pieces = split_name(name)
         for start, end in combinations(range(len(pieces) + 1), 2):
             core = pieces[start:end]
@@ -74,17 +76,13 @@ def match_joint_names(
                 f"the log holds {len(sets)} sets of joints that could be the model's "
                 f"{join_names(joint_names)}: {' and '.join(map(join_names, sets))}"
             )
-    arm_joints = list(joint_names)
-    # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
-    if not {*joint_names} <= {*names}:
-        by_core = complete[context]
-        for core, joint_name in zip(cores, joint_names):
-            if len(by_core[core]) > 1:
-                listed = " and ".join(by_core[core])
-                raise InputError(
-                    f"the log's {listed} could both be the joint {joint_name}"
-                )
-        arm_joints = [by_core[core][0] for core in cores]
+    fitting = [complete[context][core] for core in cores]
+    for joint_name, candidates in zip(joint_names, fitting):
+        if len(candidates) > 1:
+            raise InputError(
+                f"the log's {' and '.join(candidates)} could both be the joint {joint_name}"
+            )
+    arm_joints = [candidates[0] for candidates in fitting]
     if are_opposite_sides({*chain(*context)}, {*chain(*arm_context)}):
         raise InputError(
             f"the log's joints {join_names(arm_joints)} are those of another arm than the model's "

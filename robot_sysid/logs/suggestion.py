@@ -157,13 +157,12 @@ class Suggestion:
         motions = [
             g for g in self.groups if g.quantity in (None, "position", "velocity")
         ]
-        moves = {g.text: _moves(g.samples, self.clock) for g in motions}
         # Columns and their derivatives to the ratio of these.
         ratios = {}
-        for text, other in permutations(moves, 2):
-            ratio = _derivative_ratio(moves[text][0], moves[other][1])
+        for group, other in permutations(motions, 2):
+            ratio = _derivative_ratio(group.samples, other.samples, self.clock)
             if ratio:
-                ratios[text, other] = ratio
+                ratios[group.text, other.text] = ratio
         derived = {text for _, text in ratios}
         candidates = self._of_quantity("position")
         if not candidates:
@@ -189,14 +188,14 @@ class Suggestion:
                 self.reasons.append(
                     f"{group.text} are the derivative of {position.text}{condition}"
                 )
-        unit = UNITS["position"].get(position.title.unit, 1.0)
-        self._find_units(position.samples * unit, position.title.unit)
+        stated = position.title.unit
+        if stated:
+            self.position = position.samples * UNITS["position"].get(stated, 1.0)
+        else:
+            self._find_units(position.samples)
 
-    def _find_units(self, q: Array, stated: str = "") -> None:
-        """Find the units in which positions (N, n) keep the joints' ranges.
-
-        ``stated``: unit that titles state, which has been applied.
-        """
+    def _find_units(self, q: Array) -> None:
+        """Find the units, which titles do not state, in which positions (N, n) keep ranges."""
         robot = self.finder.robot
         choices = self.finder.choices
         reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
@@ -210,7 +209,7 @@ class Suggestion:
             (robot.is_slide, choices.length_unit, ["mm"]),
         ):
             largest = np.max(excess[is_kind], initial=0.0)
-            if stated or declared or largest <= _MARGIN:
+            if declared or largest <= _MARGIN:
                 continue
             values = UNITS["position"]
             fitting = [u for u in units if values[u] * largest <= _MARGIN]
@@ -325,14 +324,12 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
     own_pieces = {*chain.from_iterable(map(split_name, names))}
     numbers = np.flatnonzero(np.isfinite(samples).any(axis=0)).tolist()
     found: dict[tuple[int, ...], str] = {}
-    if len(names) == 1:
-        found = {(k,): "" for k in numbers}
-    elif all(text == f"#{k}" for k, text in enumerate(texts, 1)):
+    if len(names) == 1 or all(text == f"#{k}" for k, text in enumerate(texts, 1)):
         # What is beside full runs of joints is time.
         times = _steady_columns(samples)[: len(numbers) % len(names)]
         others = [k for k in numbers if k not in times]
         for run in zip(*[iter(others)] * len(names)):
-            is_run = run[-1] - run[0] == len(names) - 1
+            is_run = run[-1] - run[0] == len(names) - 1 > 0
             found[run] = f"#{run[0] + 1}..#{run[-1] + 1}" if is_run else ""
     else:
         for pattern in chain.from_iterable(_patterns(text, names) for text in texts):
@@ -367,19 +364,15 @@ def _steady_columns(samples: Array) -> list[int]:
     return np.flatnonzero(is_steady).tolist()
 
 
-def _moves(samples: Array, clock: Array) -> tuple[Array, Array]:
-    """Return the changes (K, n) of columns in stretches of rows, and their integrals by a clock."""
-    stride = 20
-    area = np.diff(clock)[:, None] * (samples[1:] + samples[:-1]) / 2.0
-    path = np.cumsum(np.vstack((0.0 * samples[:1], area)), axis=0)
-    return np.diff(samples[::stride], axis=0), np.diff(path[::stride], axis=0)
-
-
-def _derivative_ratio(changes: Array, integrals: Array) -> float | None:
-    """Return by what the columns of integrals (K, n) are to be divided to be those of changes.
+def _derivative_ratio(q: Array, qd: Array, clock: Array) -> float | None:
+    """Return by what columns (N, n) are to be divided to be the derivative of others by a clock.
 
     None where they are not, at a joint that moves, or where the joints disagree.
     """
+    area = np.diff(clock)[:, None] * (qd[1:] + qd[:-1]) / 2.0
+    # In stretches of 20 rows.
+    integrals = np.diff(np.cumsum(area, axis=0)[::20], axis=0)
+    changes = np.diff(q[1::20], axis=0)
     squares = np.sum(changes**2, axis=0)
     moving = np.flatnonzero(squares > 0.01 * np.max(squares, initial=0.0))
     products = np.sum(changes * integrals, axis=0)[moving]

@@ -225,16 +225,12 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
     """
     stripped = text.strip()
     for name in sorted(joint_names, key=len, reverse=True):
-        suffix = stripped[len(name) :]
-        prefix = stripped[: -len(name)]
-        remainder = ""
-        if stripped.startswith(name) and suffix and not suffix[0].isalnum():
-            remainder = suffix
-        elif stripped.endswith(name) and prefix and not prefix[-1].isalnum():
-            remainder = prefix
-        title = replace(read_title(remainder), text=text, joint=name)
-        if title.joint_quantity and not title.numbers:
-            return title
+        form = re.escape(name)
+        match = re.fullmatch(rf"(?s){form}([\W_].*)|(.*[\W_]){form}", stripped)
+        if match:
+            title = replace(read_title(match[1] or match[2]), text=text, joint=name)
+            if title.joint_quantity and not title.numbers:
+                return title
     unit, unitless = _split_bracketed_unit(stripped.lstrip("%#"))
     numbers = []
     tokens = []
@@ -340,6 +336,7 @@ def match_joints(
     robot: RobotModel,
     first_row: Sequence[str],
     quantities: Sequence[str],
+    has_names: bool,
 ) -> tuple[Candidates, str]:
     """Return the candidate columns of quantities, and a note on how joint names were matched.
 
@@ -351,6 +348,8 @@ def match_joints(
         robot: the arm.
         first_row: the cells of the first row as text, which may list joint names.
         quantities: of ``Title.joint_quantity``.
+        has_names: whether positions are not declared, and their titles may name joints in other
+            words than the model.
 
     Raises:
         InputError: the joints' names are those of two arms, or of another arm.
@@ -358,27 +357,26 @@ def match_joints(
     joint_names = robot.joint_names
     listed_names = _listed_names(titles, first_row, robot.n_joints)
     # Quantity to the name, or the number, of a joint to indices of columns.
-    by_name: dict[str, dict[str, list[int]]] = defaultdict(dict)
-    by_number: dict[str, dict[int, list[int]]] = defaultdict(dict)
+    by_name: Any = defaultdict(lambda: defaultdict(list))
+    by_number: Any = defaultdict(lambda: defaultdict(list))
     for column, title in enumerate(titles):
         name = title.joint
         numbers = title.numbers
         quantity = title.joint_quantity
         if quantity and len(numbers) == 1:
             name = listed_names.get(numbers[0], name)
-        named_quantity = quantity or title.quantity_beside_name
-        if named_quantity and name:
-            by_name[named_quantity].setdefault(name, []).append(column)
+        if name:
+            by_name[quantity or title.quantity_beside_name][name].append(column)
         # A time without a number is the row's, not the single joint's own.
         if robot.n_joints == 1 and quantity != "joint_time":
             numbers = numbers or (0,)
-        if quantity and len(numbers) == 1:
-            by_number[quantity].setdefault(numbers[0], []).append(column)
-    names = [*by_name["position"]] if "position" in quantities else []
+        if len(numbers) == 1:
+            by_number[quantity][numbers[0]].append(column)
+    names = [*by_name["position"]] if has_names else []
     matched = match_joint_names(names, joint_names)
     candidates = {}
     for quantity in quantities:
-        named = [by_name[quantity].get(name, []) for name in matched or joint_names]
+        named = [by_name[quantity][name] for name in matched or joint_names]
         # Names decide for all joints of a quantity or for none.
         if not all(named):
             named = [[]] * robot.n_joints
