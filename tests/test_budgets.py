@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 15997,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 25129,
+    "robot_sysid/logs": 25168,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3618,
     "robot_sysid": 11119,
-    "tests": 229795,
+    "tests": 229731,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

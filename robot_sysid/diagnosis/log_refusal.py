@@ -11,7 +11,7 @@ from pathlib import Path
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.column_map import column_text, declarations
+from robot_sysid.logs.declarations import column_text, declarations
 from robot_sysid.records import Column, ColumnMap, Recording
 from robot_sysid.records.option_fields import Columns
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.column_map import ColumnChoices
+from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.table import (
     ROWS,

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnChoices, ColumnFinder
+from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.table import LogTable, array_blocks
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, Column, RobotModel

@@ -1,9 +1,9 @@
 """Logs of real arms as recordings.
 
 A log is a table with a row per sample: time, and position and torque of every chain joint;
-velocity and other columns where the file has them. ``table`` describes its form, ``titles`` and
-``column_map`` find the columns, ``checks`` judges the rows. The numbers of its
-columns are held in memory.
+velocity and other columns where the file has them. ``table`` describes its form, ``declarations``
+is what the user says of columns, ``titles`` and ``column_map`` find them, ``checks`` judges the
+rows. The numbers of its columns are held in memory.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, documents
 from robot_sysid.logs.checks import read_recording
-from robot_sysid.logs.column_map import (
+from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.declarations import (
     ColumnChoices,
-    ColumnFinder,
     declarations,
     parse_units,
     read_columns,

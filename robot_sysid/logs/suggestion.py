@@ -10,7 +10,7 @@ the line has a "?", which is refused until it is filled in.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice, permutations
@@ -19,7 +19,8 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnFinder, column_text, is_plain_title
+from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.declarations import column_text, is_plain_title
 from robot_sysid.logs.joint_names import are_opposite_sides, split_name
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import (
@@ -30,7 +31,7 @@ from robot_sysid.logs.titles import (
     measured_columns,
     token_set,
 )
-from robot_sysid.records import Array
+from robot_sysid.records import Array, RobotModel
 
 BLANK = "?"
 """What stands for a column or a unit that could not be told."""
@@ -84,15 +85,13 @@ class Suggestion:
         samples: (N, C) numbers of all columns.
         groups: of columns.
         declared: key to value of the line that was given.
+        reason: a sentence on the columns.
 
     Attributes:
-        others: columns (indices) that are in no group.
         entries: key to value of the line.
-        further: options that it needs beside.
         units: of the line.
+        further: options that it needs beside.
         reasons: sentences on columns, and on what their numbers told.
-        clock: (N,) time [s], or number of the row where no column is the time.
-        position: (N, n) positions [rad]; None where they could not be told.
     """
 
     def __init__(
@@ -101,58 +100,62 @@ class Suggestion:
         samples: Array,
         groups: Sequence[Group],
         declared: Mapping[str, str],
+        reason: str,
     ) -> None:
         self.finder = finder
         self.samples = samples
         self.groups = groups
-        grouped = {*chain.from_iterable(group.columns for group in groups)}
-        self.others = [k for k in range(len(finder.texts)) if k not in grouped]
         self.entries = {**declared}
-        self.further: tuple[str, ...] = ()
         self.units = [*filter(None, [declared.get("units")])]
-        texts = [*map(str, groups), *(finder.texts[k] for k in self.others)]
-        self.reasons = [f"its columns are {', '.join(texts)}"]
-        self.clock = np.arange(len(samples), dtype=float)
-        self.position: Array | None = None
+        self.further: tuple[str, ...] = ()
+        self.reasons = [reason]
 
-    def find_time(self) -> None:
-        """Find the column of time, which increases steadily, and its unit, by a plausible rate."""
+    def find_time(self, columns: Collection[int]) -> Array:
+        """Return the times (N,) [s]; numbers of rows where no column is the time.
+
+        It increases steadily, and a plausible rate tells its unit.
+
+        ``columns``: indices of those that could be it.
+        """
         finder = self.finder
+        titles = finder.titles
+        clock = np.arange(len(self.samples), dtype=float)
         if finder.choices.rate:
-            self.clock /= finder.choices.rate
-            return
+            return clock / finder.choices.rate
         indices = [column.index for column in finder.recognise("time")]
         if not indices:
-            steady = [k for k in _steady_columns(self.samples) if k in self.others]
+            steady = [k for k in _steady_columns(self.samples) if k in columns]
             # A column that counts rows is no clock, unless it is called so.
-            titles = finder.titles
             named = [k for k in steady if titles[k].quantity_beside_name == "time"]
             steps = np.diff(self.samples, axis=0)
             indices = named or [k for k in steady if np.any(steps[:, k] != 1.0)]
             key = "time" if indices else "rate"
             self.entries[key] = BLANK
             if len(indices) != 1:
-                return
+                return clock
             self.entries[key] = column_text(finder.texts, indices[0])
             self.reasons.append(f"{finder.texts[indices[0]]!r} increases steadily")
-        unit = finder.titles[indices[0]].unit or finder.choices.time_unit
-        self.clock = self.samples[:, indices[0]] * UNITS["time"].get(unit or "s", 1.0)
+        unit = titles[indices[0]].unit or finder.choices.time_unit
+        clock = self.samples[:, indices[0]] * UNITS["time"].get(unit or "s", 1.0)
         if unit:
-            return
+            return clock
         # Of rates from 10 to 5000 Hz, one unit of time at most makes one.
-        period = np.median(np.diff(self.clock))
+        period = np.median(np.diff(clock))
         units = [u for u in TIME_UNITS if 2e-4 <= period * UNITS["time"][u] <= 0.1]
-        self.clock *= UNITS["time"][units[0]] if units else np.nan
         self.units += [unit for unit in units or [BLANK] if unit != "s"]
+        return clock * (UNITS["time"][units[0]] if units else np.nan)
 
-    def find_motion(self) -> None:
-        """Find positions with their units, and velocities, the derivative of positions."""
+    def find_motion(self, clock: Array) -> Array | None:
+        """Return positions (N, n) [rad], with their units; None where they cannot be told.
+
+        Velocities are the derivative of positions by the clock (N,) [s].
+        """
         found = self.finder.recognise("position")
         if found:
             samples = self.samples[:, [column.index for column in found]]
             zeros = [column.zero for column in found]
-            self._find_units((samples - zeros) * [column.factor for column in found])
-            return
+            factors = [column.factor for column in found]
+            return self._find_units((samples - zeros) * factors)
         self.entries["position"] = BLANK
         motions = [
             g for g in self.groups if g.quantity in (None, "position", "velocity")
@@ -160,7 +163,7 @@ class Suggestion:
         # Columns and their derivatives to the ratio of these.
         ratios = {}
         for group, other in permutations(motions, 2):
-            ratio = _derivative_ratio(group.samples, other.samples, self.clock)
+            ratio = _derivative_ratio(group.samples, other.samples, clock)
             if ratio:
                 ratios[group.text, other.text] = ratio
         derived = {text for _, text in ratios}
@@ -169,11 +172,11 @@ class Suggestion:
             integrals = {text for text, _ in ratios} - derived
             candidates = [g for g in motions if g.text in integrals]
         if len(candidates) != 1:
-            return
+            return None
         position = candidates[0]
         if position.text in derived:
             self.reasons.append(f"{position.text} are the derivative of other columns")
-            return
+            return None
         self.entries["position"] = position.text
         for group in motions:
             ratio = ratios.get((position.text, group.text), 0.0)
@@ -190,12 +193,14 @@ class Suggestion:
                 )
         stated = position.title.unit
         if stated:
-            self.position = position.samples * UNITS["position"].get(stated, 1.0)
-        else:
-            self._find_units(position.samples)
+            return position.samples * UNITS["position"].get(stated, 1.0)
+        return self._find_units(position.samples)
 
-    def _find_units(self, q: Array) -> None:
-        """Find the units, which titles do not state, in which positions (N, n) keep ranges."""
+    def _find_units(self, q: Array) -> Array | None:
+        """Return positions (N, n) in the units in which they keep the joints' ranges, in SI units.
+
+        None where there are no such units.
+        """
         robot = self.finder.robot
         choices = self.finder.choices
         reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
@@ -217,14 +222,17 @@ class Suggestion:
             if is_whole or not fitting or largest < _MARGIN**3:
                 self.units.append(BLANK)
                 self.reasons.append("positions leave the joints' ranges in SI units")
-                return
+                return None
             q = np.where(is_kind, values[fitting[0]] * q, q)
             self.units.append(fitting[0])
             self.reasons.append(f"positions keep the joints' ranges in {fitting[0]}")
-        self.position = q
+        return q
 
-    def find_driven(self) -> None:
-        """Find torques, or commanded positions of servos."""
+    def find_driven(self, position: Array | None) -> None:
+        """Find torques, or commanded positions of servos.
+
+        ``position``: (N, n) [rad], which tell torques by the arm's weight.
+        """
         driven = self.finder.driven
         if self.finder.recognise(driven):
             return
@@ -239,10 +247,15 @@ class Suggestion:
                 f"{candidates[0].text} were commanded, not measured: they are the arm's torque "
                 "only where motors follow closely and gravity is in them"
             )
-        if is_torque and not candidates:
+        if is_torque and not candidates and position is not None:
             others = [g for g in self.groups if g.text not in self.entries.values()]
-            unnamed = [g for g in others if not g.quantity]
-            candidates = [*filter(self._follows_weight, unnamed)]
+            robot = self.finder.robot
+            candidates = [
+                group
+                for group in others
+                if not group.quantity
+                and _follows_weight(robot, position, group.samples)
+            ]
             self.reasons += [f"{g.text} follow the arm's weight" for g in candidates]
         key = "torque" if driven == "current" else driven
         self.entries[key] = candidates[0].text if len(candidates) == 1 else BLANK
@@ -253,22 +266,6 @@ class Suggestion:
         first_columns = [group.columns[0] for group in groups]
         measured = measured_columns(self.finder.titles, first_columns)
         return [group for group in groups if group.columns[0] in measured]
-
-    def _follows_weight(self, group: Group) -> bool:
-        """Return whether a group is nearly the torque that holds the model, or its opposite."""
-        if self.position is None:
-            return False
-        rows = np.linspace(0, len(self.samples) - 1, 500).astype(int)
-        q = self.position[rows]
-        tau = group.samples[rows]
-        weight = ArmDynamics(self.finder.robot).torque(q, 0.0 * q, 0.0 * q)
-        # A constant is no torque: what changes has to agree, too, as far as friction lets it.
-        changes = (weight - np.mean(weight, axis=0), tau - np.mean(tau, axis=0))
-        for (expected, found), least in (((weight, tau), 0.8), (changes, 0.5)):
-            norms = np.linalg.norm(expected) * np.linalg.norm(found)
-            if np.abs(np.sum(expected * found)) <= least * norms:
-                return False
-        return True
 
 
 def suggest_columns(
@@ -285,10 +282,13 @@ def suggest_columns(
     groups = [*_find_groups(finder, samples)]
     if not groups:
         return None
-    suggestion = Suggestion(finder, samples, groups, declared)
-    suggestion.find_time()
-    suggestion.find_motion()
-    suggestion.find_driven()
+    grouped = {*chain.from_iterable(group.columns for group in groups)}
+    others = [k for k in range(len(finder.texts)) if k not in grouped]
+    listed = ", ".join([*map(str, groups), *(finder.texts[k] for k in others)])
+    reason = f"its columns are {listed}"
+    suggestion = Suggestion(finder, samples, groups, declared, reason)
+    clock = suggestion.find_time(others)
+    suggestion.find_driven(suggestion.find_motion(clock))
     if suggestion.units:
         suggestion.entries["units"] = ", ".join(suggestion.units)
     return suggestion
@@ -369,9 +369,10 @@ def _derivative_ratio(q: Array, qd: Array, clock: Array) -> float | None:
 
     None where they are not, at a joint that moves, or where the joints disagree.
     """
-    area = np.diff(clock)[:, None] * (qd[1:] + qd[:-1]) / 2.0
+    from scipy.integrate import cumulative_trapezoid
+
     # In stretches of 20 rows.
-    integrals = np.diff(np.cumsum(area, axis=0)[::20], axis=0)
+    integrals = np.diff(cumulative_trapezoid(qd, clock, axis=0)[::20], axis=0)
     changes = np.diff(q[1::20], axis=0)
     squares = np.sum(changes**2, axis=0)
     moving = np.flatnonzero(squares > 0.01 * np.max(squares, initial=0.0))
@@ -382,3 +383,18 @@ def _derivative_ratio(q: Array, qd: Array, clock: Array) -> float | None:
     ratios = products / squares[moving]
     ratio = float(np.median(ratios))
     return ratio if np.ptp(ratios) < 0.1 * ratio else None
+
+
+def _follows_weight(robot: RobotModel, q: Array, tau: Array) -> bool:
+    """Return whether columns (N, n) are nearly the torque that holds the model, or its opposite."""
+    rows = np.linspace(0, len(q) - 1, 500).astype(int)
+    rest = np.zeros((500, robot.n_joints))
+    weight = ArmDynamics(robot).torque(q[rows], rest, rest)
+    tau = tau[rows]
+    # A constant is no torque: what changes has to agree, too, as far as friction lets it.
+    changes = (weight - np.mean(weight, axis=0), tau - np.mean(tau, axis=0))
+    for (expected, found), least in (((weight, tau), 0.8), (changes, 0.5)):
+        norms = np.linalg.norm(expected) * np.linalg.norm(found)
+        if np.abs(np.sum(expected * found)) <= least * norms:
+            return False
+    return True

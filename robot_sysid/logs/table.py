@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, SysidError, error_text
-from robot_sysid.logs.column_map import ColumnChoices
+from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.records import Array, ColumnMap
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnChoices
+from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.table import Block, LogTable
 from robot_sysid.records import Array, Recording
 from robot_sysid.records.file_access import atomic_file

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -303,16 +303,15 @@ def fit_pattern(
         if not fits:
             continue
         names = dict(fits)
-        note = ""
-        ordered: Iterable[str]
         if counted:
-            numbers = {int(text): text for text in names}
+            numbers = {int(text): column for text, column in fits}
             order = _order_of_numbers([*map(int, names)], joint_names, is_declared=True)
-            ordered = [numbers[number] for number in order]
+            columns = [numbers[number] for number in order]
+            note = ""
         else:
-            ordered = matched = match_joint_names([*names], joint_names)
+            matched = match_joint_names([*names], joint_names)
+            columns = [names[text] for text in matched]
             note = joint_note(matched, [*names])
-        columns = [names[text] for text in ordered]
         # Of two equal titles, one is lost.
         if columns and len(fits) == len(names):
             return columns, note
@@ -406,12 +405,10 @@ def _order_of_numbers(
     own_numbers = name_numbers(joint_names)
     if order == sorted(own_numbers):
         return own_numbers
-    # Where the model's names are numbered in another order, counting contradicts them.
-    is_ordered = own_numbers == sorted(own_numbers)
-    count = len(joint_names)
     starts = order[:1] if is_declared else (0, 1)
-    is_counted = any(order == [*range(k, k + count)] for k in starts)
-    return order if is_ordered and is_counted else ()
+    is_counted = any(order == [*range(k, k + len(joint_names))] for k in starts)
+    # Where the model's names are numbered in another order, counting contradicts them.
+    return order if is_counted and own_numbers == sorted(own_numbers) else ()
 
 
 def _words_beside_quantity(unitless: str) -> str:

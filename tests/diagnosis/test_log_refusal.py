@@ -13,7 +13,8 @@ from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import steps
 from robot_sysid.errors import ColumnsError
-from robot_sysid.logs.column_map import ColumnFinder, read_columns
+from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.declarations import read_columns
 from robot_sysid.records.messages import Level
 
 ROBOT = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:3]))

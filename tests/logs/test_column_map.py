@@ -15,7 +15,8 @@ from rigs.log_files import arm_of
 from rigs.refusals import refused
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
-from robot_sysid.logs import column_map
+from robot_sysid.logs import declarations
+from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.records import ColumnMap
 
 JOINTS = ("joint0", "joint1", "joint2")
@@ -25,12 +26,18 @@ UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 def recognise(
     titles: str, joints=JOINTS, choices=None, first_row=(), is_slide=()
 ) -> ColumnMap:
-    choices = choices or column_map.ColumnChoices()
+    """The map of titles with commas between them; a title's own comma is a semicolon here."""
+    choices = choices or declarations.ColumnChoices()
+    texts = [title.replace(";", ",") for title in titles.split(",")]
     robot = arm_of(joints, is_slide=is_slide)
-    finder = column_map.ColumnFinder(
-        titles.split(","), robot, choices, first_row, currents=False, commanded=False
-    )
+    finder = ColumnFinder(texts, robot, choices, first_row, False, False)
     return finder.find_all()
+
+
+def declared(text: str, titles: str, joints=JOINTS, **others) -> ColumnMap:
+    """The map of titles where a line, or the text of a columns file, declares columns."""
+    choices = declarations.read_columns(text, joints)
+    return recognise(titles, joints, choices, **others)
 
 
 def where(columns: ColumnMap) -> tuple[list[int], list[int]]:
@@ -201,7 +208,7 @@ def test_units_in_titles_become_factors():
 
 
 def test_declared_degrees_leave_slides_alone():
-    choices = column_map.ColumnChoices(angle_unit="deg", time_unit="us")
+    choices = declarations.ColumnChoices(angle_unit="deg", time_unit="us")
     columns = recognise(
         "t,q1,q2,q3,tau1,tau2,tau3", JOINTS, choices, is_slide=(False, True, False)
     )
@@ -247,39 +254,31 @@ def test_what_is_missing_or_ambiguous_is_said(titles, fragments):
     assert all(word in str(caught.value) for word in fragments)
 
 
-def read_choices(tmp_path, text: str) -> column_map.ColumnChoices:
-    path = tmp_path / "columns.txt"
-    path.write_text(text)
-    return column_map.read_columns(path, JOINTS)
-
-
 def test_a_columns_file_names_flips_and_scales(tmp_path):
-    text = "# remark\ntime = Zeit  # seconds\nposition = A, B, C\ntorque.joint0 = -X\n"
-    text += "torque.joint1 = 0.5 * Y\ntorque.joint2 = Z\nunits = deg,ms\n"
-    columns = recognise("X,Y,Z,A,B,C,Zeit,tau3", choices=read_choices(tmp_path, text))
+    path = tmp_path / "columns.txt"
+    path.write_text(
+        "# remark\ntime = Zeit  # seconds\nposition = A, B, C\ntorque.joint0 = -X\n"
+        "torque.joint1 = 0.5 * Y\ntorque.joint2 = Z\nunits = deg,ms\n"
+    )
+    choices = declarations.read_columns(path, JOINTS)
+    columns = recognise("X,Y,Z,A,B,C,Zeit,tau3", choices=choices)
     assert where(columns) == ([3, 4, 5], [0, 1, 2])
     assert factors(columns.torque) == [-1.0, 0.5, 1.0]
     assert columns.position[0].factor == math.pi / 180
     assert columns.time.factor == 1e-3
 
 
-def test_a_number_stands_in_for_a_unit_that_is_not_known(tmp_path):
-    text = "position = 0.5 * #2, 0.5 * #3, 0.5 * #4\n"
+def test_a_number_stands_in_for_a_unit_that_is_not_known():
+    line = "position = 0.5 * #2, 0.5 * #3, 0.5 * #4"
     titles = "t,q1 [furlong],q2 [furlong],q3 [furlong],tau1,tau2,tau3"
-    columns = recognise(titles, choices=read_choices(tmp_path, text))
-    assert factors(columns.position) == [0.5, 0.5, 0.5]
+    assert factors(declared(line, titles).position) == [0.5, 0.5, 0.5]
 
 
-def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
-    text = "rate = 100\nposition = #1, #2, #3\ntorque = #4, #5, #6\nvelocity = none\n"
-    columns = recognise("q1,q2,q3,qd1,qd2,qd3", choices=read_choices(tmp_path, text))
+def test_a_line_counts_columns_and_keeps_quantities_out():
+    line = "rate = 100, position = #1, #2, #3, torque = #4..#6, velocity = none"
+    columns = declared(line, "q1,q2,q3,qd1,qd2,qd3")
     assert where(columns) == ([0, 1, 2], [3, 4, 5])
     assert columns.velocity == () and columns.time is None and columns.rate == 100.0
-
-
-def declared(text: str, titles: str, joints=JOINTS, **others) -> ColumnMap:
-    choices = column_map.read_columns(text, joints)
-    return recognise(titles, joints, choices, **others)
 
 
 TORQUES = "tau1,tau2,tau3"
@@ -301,13 +300,7 @@ TORQUES = "tau1,tau2,tau3"
 def test_a_pattern_or_a_range_stands_for_the_columns_of_all_joints(
     line, titles, expected
 ):
-    # A title may hold a comma, which separates titles in this test.
-    choices = column_map.read_columns(line, JOINTS)
-    texts = [title.replace(";", ",") for title in titles.split(",")]
-    finder = column_map.ColumnFinder(
-        texts, arm_of(JOINTS), choices, (), currents=False, commanded=False
-    )
-    columns = finder.find_all()
+    columns = declared(line, titles)
     assert where(columns) == (expected, [4, 5, 6])
     factor = {"-": -2.0, "0": 0.5}.get(line.partition("= ")[2][0], 1.0)
     assert factors(columns.position)[0] == factor
@@ -327,6 +320,11 @@ def test_a_pattern_fits_names_as_titles_do_and_leaves_fingers_out():
     assert note.endswith("not used: ur_f")
 
 
+PLAIN = f"t,q1,q2,q3,{TORQUES}"
+NO_COLUMN = "no single column"
+NOT_UNDERSTOOD = "not understood"
+
+
 @pytest.mark.parametrize(
     ("line", "titles", "fragments"),
     [
@@ -336,18 +334,30 @@ def test_a_pattern_fits_names_as_titles_do_and_leaves_fingers_out():
         ("position = x*", "t,x1,x01,x2", ["fits 3 columns"]),
         ("position = x*", "t,x1,x1,x2,x3", ["fits 4 columns"]),
         ("position = x*", "t,xa,xb,xc", ["fits 3 columns (xa, xb, xc)"]),
+        ("position = y*", PLAIN, ["'y*' lists 1 column, the chain has 3 joints"]),
+        ("position = a, b", PLAIN, ["lists 2 columns, the chain has 3"]),
+        ("position = #2..#5", PLAIN, ["lists 4 columns"]),
+        ("position = #6..#8", PLAIN, [f"{NO_COLUMN} '#8'"]),
         (
-            "position = y*",
-            "t,x0,x1,x2",
-            ["'y*' lists 1 column, the chain has 3 joints"],
+            "positon = x*",
+            PLAIN,
+            ["unknown key 'positon'", "valid keys: time, position"],
         ),
-        ("position = #2..#5", "t,x0,x1,x2", ["lists 4 columns"]),
-        ("position = #3..#5", "t,x0,x1,x2", ["no single column '#5'"]),
-        ("positon = x*", "t,x0,x1,x2", ["unknown key 'positon'"]),
-        ("time = t, positon = x*", "t,x0,x1,x2", ["unknown key 'positon'"]),
-        ("torque = ?", "t,x0,x1,x2", ["torque = ? is a blank"]),
-        ("units = ms, ?", "t,x0,x1,x2", ["units = ms, ? is a blank"]),
-        ("zero = 1, 2", "t,q1,q2,q3,tau1,tau2,tau3", ["zero takes one number"]),
+        ("time = t, positon = x*", PLAIN, ["unknown key 'positon'"]),
+        ("torque = ?", PLAIN, ["torque = ? is a blank"]),
+        ("units = ms, ?", PLAIN, ["units = ms, ? is a blank"]),
+        ("zero = 1, 2", PLAIN, ["zero takes one number"]),
+        ("torque.elbow = a", PLAIN, ["unknown joint 'elbow'"]),
+        ("time a", PLAIN, ["once per key: 'time a'"]),
+        ("time = a\ntime = b", PLAIN, ["once per key: 'time = b'"]),
+        ("rate = -3", PLAIN, ["positive number"]),
+        ("units = grad", PLAIN, [NOT_UNDERSTOOD]),
+        ("units = deg,rad", PLAIN, [NOT_UNDERSTOOD]),
+        ("units = 0/rev", PLAIN, [NOT_UNDERSTOOD]),
+        ("units = deg, deg", PLAIN, [NOT_UNDERSTOOD]),
+        ("torque = 1.2.3 * tau1, tau2, tau3", PLAIN, [NO_COLUMN]),
+        ("torque = 1e999 * tau1, tau2, tau3", PLAIN, [NO_COLUMN]),
+        ("torque = B, tau2, tau3", PLAIN, [f"{NO_COLUMN} 'B'"]),
     ],
 )
 def test_what_a_line_cannot_mean_is_refused_with_what_it_fits(line, titles, fragments):
@@ -400,38 +410,22 @@ def test_measured_torques_outrank_others_which_a_note_names():
         assert "not measured, as they were declared" in columns.notes[0]
 
 
-def test_velocities_that_cannot_be_told_stop_no_log():
-    for titles in ("qd0,qd1,qd2,vel0,vel1,vel2", "qd0 [kn],qd1 [kn],qd2 [kn]"):
-        columns = recognise(f"t,q0,q1,q2,{TORQUES},{titles}")
-        assert columns.velocity == ()
-        assert columns.notes[0].startswith("velocity is not used, and not needed: ")
-
-
-def test_a_joint_without_motor_has_a_torque_of_zero(tmp_path):
-    text = "position = A, B, C\ntorque.joint0 = X\ntorque.joint1 = none\ntorque.joint2 = Z\n"
-    columns = recognise("t,X,Y,Z,A,B,C", choices=read_choices(tmp_path, text))
-    assert factors(columns.torque) == [1.0, 0.0, 1.0]
-    assert "torque from 'X', none, 'Z'" in columns.describe()[0]
-
-
 @pytest.mark.parametrize(
-    ("text", "fragments"),
+    "titles",
     [
-        ("speed = a", "valid keys: time, position"),
-        ("position = a, b", "lists 2 columns, the chain has 3"),
-        ("torque.elbow = a", "unknown joint 'elbow'"),
-        ("time a", "once per key: 'time a'"),
-        ("time = a\ntime = b", "once per key: 'time = b'"),
-        ("rate = -3", "positive number"),
-        ("units = grad", "not understood"),
-        ("units = deg,rad", "not understood"),
-        ("units = 0/rev", "not understood"),
-        ("units = deg, deg", "not understood"),
-        ("torque = 1.2.3 * tau1, tau2, tau3", "no single column"),
-        ("torque = 1e999 * tau1, tau2, tau3", "no single column"),
-        ("torque = B, tau2, tau3", "no single column 'B'"),
+        "qd0,qd1,qd2,vel0,vel1,vel2",
+        "qd0 [kn],qd1 [kn],qd2 [kn]",
+        "joint0_vel,joint1_vel,joint2_vel,qd0,qd1,qd2",
     ],
 )
-def test_a_bad_columns_file_says_what_is_wrong(tmp_path, text, fragments):
-    with refused(fragments):
-        recognise("time,q1,q2,q3,tau1,tau2,tau3", choices=read_choices(tmp_path, text))
+def test_velocities_that_cannot_be_told_stop_no_log(titles):
+    columns = recognise(f"t,q0,q1,q2,{TORQUES},{titles}")
+    assert columns.velocity == ()
+    assert columns.notes[0].startswith("velocity is not used, and not needed: ")
+
+
+def test_a_joint_without_motor_has_a_torque_of_zero():
+    text = "position = A, B, C\ntorque.joint0 = X\ntorque.joint1 = none\ntorque.joint2 = Z\n"
+    columns = declared(text, "t,X,Y,Z,A,B,C")
+    assert factors(columns.torque) == [1.0, 0.0, 1.0]
+    assert "torque from 'X', none, 'Z'" in columns.describe()[0]
