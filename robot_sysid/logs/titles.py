@@ -9,7 +9,8 @@ A column is matched with a joint by the joint's name, or else by its number. Wha
 beside its quantity is taken for the joint's name, and ``joint_names`` matches all of these with the
 model's. Where a quantity has no such names for all joints, the numbers in its titles have to be
 exactly 0..n-1 or 1..n, or those of the model's names. In a log that lists its joints, numbers stand
-for the names of the list. Where names and numbers give different columns, the log is refused.
+for the names of the list. Where names and numbers give different columns, the quantity cannot be
+told, and a log that needs it is refused.
 """
 
 from __future__ import annotations
@@ -356,8 +357,10 @@ def match_joints(
     joint_names = robot.joint_names
     listed_names = _listed_names(titles, first_row, robot.n_joints)
     # Quantity to the name, or the number, of a joint to indices of columns.
-    by_name: Any = defaultdict(lambda: defaultdict(list))
-    by_number: Any = defaultdict(lambda: defaultdict(list))
+    by_name: Mapping[str | None, dict[str, list[int]]]
+    by_name = defaultdict(lambda: defaultdict(list))
+    by_number: Mapping[str | None, dict[int, list[int]]]
+    by_number = defaultdict(lambda: defaultdict(list))
     for column, title in enumerate(titles):
         name = title.joint
         numbers = title.numbers
