@@ -30,11 +30,11 @@ BUDGETS = {
     "robot_sysid/records": 10610,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11025,
-    "robot_sysid/servo": 7361,
+    "robot_sysid/servo": 7031,
     "robot_sysid/signals": 5300,
-    "robot_sysid/simulation": 3618,
+    "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 229731,
+    "tests": 229631,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -31,7 +31,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import rollout
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robot_sysid.model.actuators import (
     actuators_on,
@@ -156,21 +156,6 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
 
 
 @dataclass(frozen=True)
-class TorqueWindow:
-    """Start of a rollout under torques, and these torques.
-
-    Attributes:
-        q: (n,) positions at the start [rad or m].
-        qd: (n,) velocities half a step before the start [rad/s or m/s].
-        tau: (S, n) torque of each step [N m].
-    """
-
-    q: Array
-    qd: Array
-    tau: Array
-
-
-@dataclass(frozen=True)
 class ServoWindow:
     """Start of a rollout behind servos, and the commands that drive it.
 
@@ -240,36 +225,37 @@ class Rollouts:
         """
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
-    def under_torques(self, windows: Sequence[TorqueWindow]) -> Array:
-        """Return chain positions (W, S + 1, n) in W windows, the start included, as ``play``."""
-        tau = np.stack([window.tau for window in windows])
+    def under_torques(self, starts: Array, tau: Array) -> Array:
+        """Return chain positions (W, S + 1, n) under torques tau (W, S, n) [N m], as ``play``."""
         inputs = np.zeros((*tau.shape[:2], self.model.nu + self.model.nv))
         inputs[:, :, self.model.nu + self.robot.dof_index] = tau
-        return self.play(windows, inputs)
+        return self.play(starts, inputs)
 
-    def play(
-        self, windows: Sequence[TorqueWindow | ServoWindow], inputs: Array
-    ) -> Array:
-        """Return chain positions (W, S + 1, n) under inputs (W, S, nu + nv) of the model.
+    def play(self, starts: ArrayLike, inputs: Array) -> Array:
+        """Return chain positions (W, S + 1, n) in W windows, the start included.
 
         Positions are NaN from where a rollout diverged.
+
+        Args:
+            starts: (W, 2, n) positions, and velocities half a step before [rad, rad/s].
+            inputs: (W, S, nu + nv) inputs of the model in each step.
         """
         model = self.model
         data = self._data[0]
-        starts = np.empty((len(windows), mujoco.mj_stateSize(model, _STATE)))
-        for start, window in zip(starts, windows):
-            set_chain_state(self.robot, model, data, window.q, window.qd)
-            mujoco.mj_getState(model, data, start, _STATE)
+        first = np.empty((len(inputs), mujoco.mj_stateSize(model, _STATE)))
+        for state, (q, qd) in zip(first, np.asarray(starts)):
+            set_chain_state(self.robot, model, data, q, qd)
+            mujoco.mj_getState(model, data, state, _STATE)
         with captured_warnings():
             if self._pool is None:
-                states = self._run_stepwise(starts, inputs)
+                states = self._run_stepwise(first, inputs)
             else:
-                models = [model] * len(starts)
+                models = [model] * len(first)
                 states, _ = self._pool.rollout(
-                    models, self._data, starts, inputs, control_spec=_INPUTS
+                    models, self._data, first, inputs, control_spec=_INPUTS
                 )
         # A state is the time, then the positions, then more.
-        states = np.concatenate((starts[:, None], states), axis=1)
+        states = np.concatenate((first[:, None], states), axis=1)
         q = states[:, :, 1 + self.robot.qpos_index]
         # Positions of a rollout that diverges become huge; its clock stands still, or starts again.
         timestep = model.opt.timestep
@@ -336,7 +322,7 @@ class ServoRollouts(Rollouts):
         inputs[:, :, rows] = command[:, :, driven]
         spring = servos.numbers[0] * ~driven * (command - spring_rest)
         inputs[:, :, self.model.nu + robot.dof_index] = spring
-        return self.play(windows, inputs)
+        return self.play([(window.q, window.qd) for window in windows], inputs)
 
     def set_servos(self, servos: ServoParameters) -> None:
         """Write servo parameters into the model, over those of an earlier call.

@@ -18,17 +18,14 @@ from robot_sysid.simulation.plant import forward_model, set_chain_state
 
 
 def random_inputs(rollouts, count=4, steps=30):
-    """Windows, and torques on the joints (count, steps, nu + nv)."""
+    """Starts (count, 2, n), and torques on the joints (count, steps, nu + nv)."""
     robot = rollouts.robot
     model = rollouts.model
     rng = np.random.default_rng(0)
     inputs = np.zeros((count, steps, model.nu + model.nv))
     torque = rng.normal(0.0, 5.0, (count, steps, robot.n_joints))
     inputs[:, :, model.nu + robot.dof_index] = torque
-    windows = []
-    for q in rng.uniform(-1.0, 1.0, (count, robot.n_joints)):
-        windows.append(playback.ServoWindow(0.0, q, rng.normal(size=q.shape), q, q))
-    return windows, inputs
+    return rng.uniform(-1.0, 1.0, (count, 2, robot.n_joints)), inputs
 
 
 def test_rollouts_on_threads_are_single_steps_and_one_that_diverges_disturbs_no_other(
@@ -38,17 +35,17 @@ def test_rollouts_on_threads_are_single_steps_and_one_that_diverges_disturbs_no_
     threads = playback.ServoRollouts(robot)
     monkeypatch.delattr(playback.rollout, "Rollout", raising=False)
     steps = playback.ServoRollouts(robot)
-    windows, inputs = random_inputs(threads)
+    starts, inputs = random_inputs(threads)
     diverging = inputs.copy()
     diverging[1, 10:] = 1e15
     for armature in (0.0, 0.3):
         # The numbers of a model may change between calls.
         for rollouts in (threads, steps):
             rollouts.model.dof_armature[:] = armature
-        expected = threads.play(windows, inputs)
-        assert_array_equal(steps.play(windows, inputs), expected)
+        expected = threads.play(starts, inputs)
+        assert_array_equal(steps.play(starts, inputs), expected)
         for rollouts in (threads, steps):
-            positions = rollouts.play(windows, diverging)
+            positions = rollouts.play(starts, diverging)
             assert_array_equal(positions[[0, 2, 3]], expected[[0, 2, 3]])
             assert_array_equal(positions[1, :11], expected[1, :11])
             assert np.all(np.isnan(positions[1, 14:]))
