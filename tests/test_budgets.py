@@ -17,8 +17,8 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3996,
-    "robot_sysid/commands": 10995,
-    "robot_sysid/damiao": 32392,
+    "robot_sysid/commands": 10935,
+    "robot_sysid/damiao": 32359,
     "robot_sysid/diagnosis": 15997,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 229631,
+    "tests": 230023,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -163,11 +163,7 @@ class MotorRun:
         types = options.motor_type or [_stored_type(j, motors) for j in joints]
         if len(types) == 1:
             types *= robot.n_joints
-        checked = damiao_joints(types, robot.n_joints)
-        joints = tuple(
-            replace(joint, motor_type=typed.motor_type)
-            for joint, typed in zip(joints, checked)
-        )
+        joints = self._with_joint_map(damiao_joints(types, robot.n_joints))
         pose = robot.reference_qpos[robot.qpos_index]
         if options.pose:
             name = options_of(options)["pose"].name

@@ -12,60 +12,51 @@ motion. A joint that stands has an error below its dry friction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import Follower, Reference
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records import Array, Limits, Motion, RobotModel
+from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import percent
 
 SETTLING = 3.0
 """Longest time for which the arm is held until it stands still [s]."""
 FADE = 1.0
 """Time in which the stiffness is then taken away [s]."""
+AT_END = 0.02
+"""Distance from an end of its range at which a joint is held by its stop, perhaps [rad]."""
 
 
 class Floating(Follower):
     """A reference that stands until the arm does, and then follows it with less and less stiffness.
 
     It raises HardwareAbort for a joint that moves farther than ``max_tracking_error``, or faster
-    than ``approach_speed``, as commands may not follow any faster.
+    than ``approach_speed``, as commands may not follow any faster, or out of the model's range, to
+    which its position would be pulled back at the end.
 
     Args:
-        joints: the n joints, base to terminal.
-        settings: of the run.
+        plan: of the n joints, base to terminal; the arm floats without stiffness for its duration.
         carries: returns the torque (n,) that carries the arm in a pose (n,) [N m].
-        limits: of commanded positions.
-        lifetime: time for which the arm floats without stiffness [s].
 
     Attributes:
         duration: longest time that all takes [s].
         samples: time since the stiffness began to fade [s], and position, velocity and commanded
-            torque (3, n) of each cycle since then [rad, rad/s, N m].
+            torque (3, n) of each cycle since then [rad, rad/s, N m]; of a long time those of the
+            first and of the last two seconds.
     """
 
-    def __init__(
-        self,
-        joints: Sequence[DamiaoJoint],
-        settings: PlaySettings,
-        carries: Callable[[Array], Array],
-        limits: Limits,
-        lifetime: float,
-    ) -> None:
-        self._joints = joints
-        self._settings = settings
+    def __init__(self, plan: Plan, carries: Callable[[Array], Array]) -> None:
+        self._plan = plan
+        self._settings = plan.settings
         self._carries = carries
-        self._limits = limits
-        self.duration = SETTLING + FADE + lifetime
-        self._lifetime = lifetime
+        self.duration = SETTLING + FADE + plan.duration
         self.samples: list[tuple[float, Array]] = []
         # Number of cycles in a row in which each joint was too fast.
-        self._fast = np.zeros(len(joints), int)
+        self._fast = np.zeros(plan.trajectory.n_joints, int)
         self._time = 0.0
         # Time at which a joint last moved, and at which the stiffness began to fade [s].
         self._moved_at = 0.0
@@ -73,7 +64,7 @@ class Floating(Follower):
 
     def begin(self, standing: Reference) -> Floating:
         """Take the reference in which the arm stands, and return this reference."""
-        self._limits = self._limits.including(standing.position)
+        self._limits = self._plan.command_limits.including(standing.position)
         self._position = standing.position
         # Last believed positions of the joints, their means over the last quarter of a second, and
         # those from which they float (n,) each [rad].
@@ -83,10 +74,14 @@ class Floating(Follower):
     def follow(self, q: Array, qd: Array, torque: Array) -> None:
         """Take positions, velocities and torques of a cycle, see ``Follower``."""
         self._q = np.where(np.isfinite(q), q, self._q)
+        self._qd = qd
         if self._time < self._began_at:
             self._settle()
             return
         self.samples.append((self._time - self._began_at, np.stack([q, qd, torque])))
+        cycles = round(2.0 / self._settings.period)
+        if len(self.samples) > 2 * cycles:
+            del self.samples[cycles]
         is_fast = np.abs(qd) > self._settings.approach_speed
         self._fast = np.where(is_fast, self._fast + 1, 0)
 
@@ -107,7 +102,7 @@ class Floating(Follower):
     @property
     def is_done(self) -> bool:
         """Whether the arm has floated for its time."""
-        return self._time >= self._began_at + FADE + self._lifetime
+        return self._time >= self._began_at + FADE + self._plan.duration
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s]; HardwareAbort for a joint that falls."""
@@ -128,83 +123,85 @@ class Floating(Follower):
     def _catch(self) -> None:
         """Raise HardwareAbort for the first joint that is too far or, for two cycles, too fast."""
         moved = self._q - self._first
+        inside = np.clip(self._q, self._limits.lower, self._limits.upper)
+        # At its end a joint may rest, and its zero be off by as much.
+        has_left = np.abs(self._q - inside) > AT_END
         is_far = np.abs(moved) > self._settings.max_tracking_error
         # A single velocity may be a damaged one.
-        for j in np.flatnonzero(is_far | (self._fast > 1)).tolist():
-            time, signals = self.samples[-1]
+        for j in np.flatnonzero(is_far | has_left | (self._fast > 1)).tolist():
+            what = "is not carried by the model's gravity"
+            if has_left[j]:
+                what = "leaves the model's range"
             raise HardwareAbort(
-                f"{self._joints[j].label} is not carried by the model's gravity: it has moved by "
-                f"{np.degrees(moved[j]):.1f} deg in {time:.1f} s, at last by "
-                f"{np.degrees(signals[1, j]):.1f} deg/s, and was caught"
+                f"{self._plan.trajectory.joints[j].label} {what}: it has moved by "
+                f"{np.degrees(moved[j]):.1f} deg in {self._time - self._began_at:.1f} s, at last "
+                f"by {np.degrees(self._qd[j]):.1f} deg/s, and was caught"
             )
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How n joints drift, and what explains it.
+    """How a joint drifts, and what explains it.
 
     Attributes:
-        speed: mean velocity (n,) without stiffness [rad/s].
-        end_speed: velocity (n,) at the end [rad/s]; 0 where a joint stands.
-        gravity: torque (n,) that holds the arm at the end, by the model [N m].
-        error: true minus modelled gravity (n,), if the model's friction is right [N m]; where a
-            joint stands, what stiffness still adds, and its friction is in it.
-        friction: friction (n,) at the end by the model, dry friction where a joint stands [N m].
+        joint: its name.
+        speed: mean velocity without stiffness [rad/s].
+        end_speed: velocity at the end [rad/s]; 0 where it stands.
+        gravity: torque that holds it at the end, by the model [N m].
+        error: true minus modelled gravity, if the model's friction is right [N m]; where it
+            stands, what stiffness still adds, and its friction is in it.
+        friction: friction at the end by the model, dry friction where it stands [N m].
+        is_at_end: whether it is at an end of its range, where a stop may hold it.
     """
 
-    speed: Array
-    end_speed: Array
-    gravity: Array
-    error: Array
-    friction: Array
+    joint: str
+    speed: float
+    end_speed: float
+    gravity: float
+    error: float
+    friction: float
+    is_at_end: bool
 
-    def sentences(self, joint_names: Sequence[str]) -> Iterator[str]:
-        """Yield a sentence for each joint: how it moves, and what that says of the model."""
-        for j, name in enumerate(joint_names):
-            mean, end = np.degrees(np.abs([self.speed[j], self.end_speed[j]]))
-            if end == 0.0:
-                yield f"{name} stands (mean drift {mean:.2f} deg/s): {self._doubt(j)}"
-            else:
-                yield f"{name} {self._verb(j)} at {end:.2f} deg/s: {self._deviation(j)}"
-
-    def _doubt(self, j: int) -> str:
-        """Return how well a joint j that stands shows its gravity."""
-        dry = self.friction[j]
-        if dry == 0.0:
-            return "how right its gravity is, is not known without its dry friction"
-        # Stiffness that had not faded yet, when another joint was caught, has held it too.
-        bound = abs(self.error[j]) + dry
-        return (
-            f"its gravity is right to within {bound:.2g} N·m, if its dry friction is the model's "
-            f"{dry:.2g}"
+    def __str__(self) -> str:
+        """Return a sentence: how the joint moves, and what that says of the model."""
+        size = abs(self.error)
+        weight = abs(self.gravity)
+        if self.end_speed == 0.0:
+            # Stiffness that had not faded yet, when another joint was caught, has held it too.
+            doubt = (
+                f"its gravity is right to within {size + self.friction:.2g} N·m, if its dry "
+                f"friction is the model's {self.friction:.2g}"
+            )
+            if self.friction == 0.0:
+                doubt = (
+                    "how right its gravity is, is not known without its dry friction"
+                )
+            if self.is_at_end:
+                doubt = "how right its gravity is, is not known at the end of its range"
+            speed = np.degrees(abs(self.speed))
+            return f"{self.joint} stands (mean drift {speed:.2f} deg/s): {doubt}"
+        verb = "sinks" if self.gravity * self.end_speed < 0.0 else "rises"
+        share = f" ({percent(size / weight)})" if size < weight else ""
+        deviation = (
+            f"{size:.2g} N·m{share} {'more' if self.gravity * self.error > 0.0 else 'less'} than "
+            f"the model's {weight:.2g} N·m"
         )
-
-    def _verb(self, j: int) -> str:
-        """Return how joint j moves: with its gravity, against it, or without much of it."""
-        if abs(self.gravity[j]) < abs(self.error[j]):
-            return "drifts"
-        return "sinks" if self.gravity[j] * self.end_speed[j] < 0.0 else "rises"
-
-    def _deviation(self, j: int) -> str:
-        """Return how far the gravity of a joint j that moves is from the model's."""
-        gravity = self.gravity[j]
-        error = self.error[j]
-        size = abs(error)
-        share = f" ({percent(size / abs(gravity))})" if size < abs(gravity) else ""
-        side = "more" if gravity * error > 0.0 else "less"
-        text = f"{size:.2g} N·m{share} {side} than the model's {abs(gravity):.2g} N·m"
-        if self.friction[j] == 0.0:
-            return f"its gravity is at least {text}, which has no friction"
+        text = (
+            f"about {deviation}; by the model its friction takes {self.friction:.2g} N·m at this "
+            "speed"
+        )
+        if self.friction == 0.0:
+            text = f"at least {deviation}, which has no friction"
         return (
-            f"its gravity is about {text}; by the model its friction takes {self.friction[j]:.2g} "
-            "N·m at this speed"
+            f"{self.joint} {verb if size <= weight else 'drifts'} at "
+            f"{np.degrees(abs(self.end_speed)):.2f} deg/s: its gravity is {text}"
         )
 
 
 def measure_drift(
     samples: Sequence[tuple[float, Array]], robot: RobotModel
-) -> Drift | None:
-    """Return how the joints of an arm drift; None where it did not float long enough.
+) -> list[Drift]:
+    """Return how the joints of an arm drift; nothing where it did not float long enough.
 
     Args:
         samples: of ``Floating``.
@@ -217,23 +214,26 @@ def measure_drift(
     # An arm that was caught earlier has moved while its stiffness faded.
     used = free if len(free) > 10 else complete
     if len(used) < 5:
-        return None
+        return []
     time, signals = map(np.array, zip(*used))
     q = signals[:, 0]
-    speed = (q[-1] - q[0]) / (time[-1] - time[0])
     last = time > time[-1] - 0.5
     since = time[last] - np.mean(time[last])
     half_acceleration, mean_speed, middle = np.polyfit(since, q[last], 2)
     # A tenth of a degree per second is more than two steps of a position in half a second.
     moves = np.abs(mean_speed) > np.radians(0.1)
-    zero = np.zeros_like(middle)
-    velocity = np.stack([moves * mean_speed, zero])
-    acceleration = np.stack([moves * 2.0 * half_acceleration, zero])
-    end_speed = velocity[0] + since[-1] * acceleration[0]
+    velocity = np.stack([moves * mean_speed, 0.0 * middle])
+    acceleration = np.stack([moves * 2.0 * half_acceleration, 0.0 * middle])
     motion = Motion(np.zeros(2), np.stack([middle, middle]), velocity, acceleration)
     needed, gravity = ArmDynamics(robot)(motion)
-    error = np.mean(signals[last, 2], axis=0) - needed
-    friction = np.where(
-        moves, np.abs(robot.friction.torque(velocity)[0]), robot.friction.largest_dry
+    friction = np.abs(robot.friction.torque(velocity)[0])
+    ends = np.array([robot.limits.lower, robot.limits.upper])
+    columns = (
+        (q[-1] - q[0]) / (time[-1] - time[0]),
+        velocity[0] + since[-1] * acceleration[0],
+        gravity,
+        np.mean(signals[last, 2], axis=0) - needed,
+        np.where(moves, friction, robot.friction.largest_dry),
+        np.any(np.abs(q[-1] - ends) < AT_END, axis=0),
     )
-    return Drift(speed, end_speed, gravity, error, friction)
+    return [Drift(*row) for row in zip(robot.joint_names, *columns)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import signal
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +17,14 @@ from rigs.command_line import run_motors
 from rigs.damiao_rig import MotorBus, fault, map_line, only_asks, with_coarse_physics
 from rigs.wrong_arms import resting_torque
 from robot_sysid.commands import Console
+from robot_sysid.commands.motors import holding
 from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.floating import Floating
 from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.protocol import DISABLE, DISABLED, special_frame
 from robot_sysid.damiao.references import Reference
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import Plan, PlaySettings
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Limits
 from robot_sysid.simulation.plant import ArmStepper
@@ -190,6 +193,43 @@ def test_the_model_of_another_arm_is_caught(float_test, tmp_path, name):
     assert np.all(test.moved < bound)
 
 
+def test_a_joint_that_sinks_out_of_its_range_is_caught(float_test):
+    """Before its position would be pulled back from far beyond its range."""
+    model = arm().replace('range="-2.5 2.5"', f'range="-2.5 {POSE[0] + 0.02}"', 1)
+    test = float_test(arm(1.0), model)
+    assert test.code == 3
+    assert re.search("joint0.* leaves the model's range", test.err)
+    assert np.all(test.moved < 0.09)
+
+
+def test_an_error_of_measuring_does_not_hide_who_was_caught(float_test, monkeypatch):
+    def fail(*_):
+        raise np.linalg.LinAlgError("did not converge")
+
+    monkeypatch.setattr(holding, "measure_drift", fail)
+    test = float_test(arm(1.0), arm())
+    assert test.code == 3 and "joint0) is not carried" in test.err
+
+
+def test_a_joint_at_an_end_of_its_range_says_nothing_of_its_gravity(float_test):
+    model = arm().replace('range="-2.5 2.5"', f'range="-2.5 {POSE[0]}"', 1)
+    test = float_test(arm(), model)
+    assert test.code == 0
+    assert re.search("joint0 stands .*is not known at the end of its range", test.out)
+    assert re.search("joint1 stands .*right to within", test.out)
+
+
+def begin_floating():
+    """Return the reference of a joint that stands at zero, of a range of 0.09 rad each way."""
+    joints = damiao_joints(["DM4310"], 1)
+    still = np.zeros((2, 1))
+    times = np.array([0.0, 5.0])
+    trajectory = DamiaoTrajectory(Path("hold"), joints, times, still, still, still)
+    limits = Limits(np.array([-0.09]), np.array([0.09]))
+    plan = Plan(trajectory, PlaySettings(rate=250.0), model_limits=limits)
+    return Floating(plan, np.zeros_like).begin(Reference(*np.zeros((3, 1))))
+
+
 @given(
     steps=st.lists(
         st.tuples(st.floats(0.001, 0.02), st.floats(-0.1, 0.1) | st.just(np.nan)),
@@ -199,11 +239,9 @@ def test_the_model_of_another_arm_is_caught(float_test, tmp_path, name):
 )
 def test_no_feedback_leads_commands_out_of_their_bounds(steps):
     """Of position and speed; or the joint that moves so is named."""
-    joints = damiao_joints(["DM4310"], 1)
-    limits = Limits(np.array([-0.05]), np.array([0.05]))
-    floating = Floating(joints, PlaySettings(rate=250.0), np.zeros_like, limits, 5.0)
     zero = np.zeros(1)
-    last = floating.begin(Reference(zero, zero, zero))(0.0).position
+    floating = begin_floating()
+    last = floating(0.0).position
     time = 0.3
     floating(time)
     floating.follow(zero, zero, zero)
@@ -211,13 +249,28 @@ def test_no_feedback_leads_commands_out_of_their_bounds(steps):
         floating.follow(np.array([angle]), zero, zero)
         time += duration
         position = floating(time).position
-        assert abs(position[0]) <= 0.05
+        assert abs(position[0]) <= 0.09
         assert abs(position - last)[0] <= 0.2 * duration + 1e-12
         last = position
     assert len(floating.samples) == len(steps)
     floating.follow(np.array([0.31]), zero, zero)
-    with pytest.raises(HardwareAbort, match="motor 1 is not carried"):
+    with pytest.raises(HardwareAbort, match="motor 1 leaves the model's range"):
         floating(time + 0.01)
+
+
+def test_a_long_time_needs_no_more_memory():
+    """Kept are the beginning and the end, from which the drift follows."""
+    begun = begin_floating()
+    zero = np.zeros(1)
+    for cycle in range(4000):
+        begun(cycle / 250.0)
+        begun.follow(zero, zero, zero)
+    times = [time for time, _ in begun.samples]
+    assert len(times) == 1000
+    assert max(np.diff(times[:500])) == pytest.approx(0.004)
+    assert max(np.diff(times[500:])) == pytest.approx(0.004)
+    assert times[0] == pytest.approx(0.004)
+    assert times[-1] == begun._time - begun._began_at
 
 
 def test_a_simulated_arm_may_be_another_one(capsys, monkeypatch, arm_file):

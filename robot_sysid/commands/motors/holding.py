@@ -23,34 +23,27 @@ def hold(session: Session) -> int:
     Returns the exit code 0. Errors are those of ``run_checked`` and ``standing_plan``.
     """
     options = record_from(HoldOptions, session.values)
-    with contextlib.ExitStack() as stack:
-        if options.simulate:
-            plan = session.standing_plan()
-            link = stack.enter_context(session.open_simulated(plan))
-            inspection = inspect_bus(link)
-        else:
-            link = stack.enter_context(session.open_guarded())
-            inspection = inspect_bus(link)
-            plan = session.standing_plan(inspection)
-        floating = Floating(
-            plan.trajectory.joints,
-            plan.settings,
-            session.holding(plan).torque,
-            plan.command_limits,
-            options.lifetime,
-        )
-        text = f"({options.lifetime:.1f} s)"
-        activity = Activity(f"holding {text}", hold_reference, options.lifetime)
+    is_real = not options.simulate
+    opened = (
+        session.open_guarded()
+        if is_real
+        else session.open_simulated(session.standing_plan())
+    )
+    with opened as link:
+        inspection = inspect_bus(link)
+        plan = session.standing_plan(inspection)
+        floating = Floating(plan, session.holding(plan).torque)
+        text = f"({plan.duration:.1f} s)"
+        activity = Activity(f"holding {text}", hold_reference, plan.duration)
         if options.floats:
             text = f"taking the stiffness away, then floating {text}"
             activity = Activity(text, floating.begin, floating.duration)
         checks = session.checks(plan)
-        is_real = not options.simulate
         try:
             run_checked(session, link, plan, checks, inspection, is_real, activity)
         except HardwareAbort:
-            # An error of printing must not hide what happened to the motors.
-            with contextlib.suppress(OSError):
+            # No error of measuring or printing may hide what happened to the motors.
+            with contextlib.suppress(Exception):
                 _conclude(session, plan, floating)
                 session.console.stage(*session.verdict[1:])
             raise
@@ -61,17 +54,16 @@ def hold(session: Session) -> int:
 
 def _conclude(session: Session, plan: Plan, floating: Floating) -> None:
     """Print how the joints have drifted, and set the verdict; do nothing if they did not float."""
-    names = session.robot.joint_names
-    drift = measure_drift(floating.samples, session.robot)
-    if drift is None:
+    drifts = measure_drift(floating.samples, session.robot)
+    if not drifts:
         return
-    session.console.stage(*drift.sentences(names))
+    session.console.stage(*map(str, drifts))
     session.verdict = ("Done: all joints stand, and all motors are disabled",)
-    if np.any(drift.end_speed):
-        fastest = int(np.argmax(np.abs(drift.end_speed)))
-        speed = np.degrees(abs(drift.end_speed[fastest]))
+    fastest = max(drifts, key=lambda drift: abs(drift.end_speed))
+    if fastest.end_speed:
+        speed = np.degrees(abs(fastest.end_speed))
         session.conclude(
-            f"Done: {names[fastest]} drifts fastest, at {speed:.2f} deg/s",
+            f"Done: {fastest.joint} drifts fastest, at {speed:.2f} deg/s",
             _identification_step(session, plan),
         )
 
