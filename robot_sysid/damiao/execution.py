@@ -364,7 +364,7 @@ def run(
     Raises:
         HardwareAbort: a check forbids the run, or the run was stopped; the message has the reason.
         InputError: a recording exists already or cannot be written.
-        SysidError: the trajectory was played, but recording or printing failed.
+        SysidError: the run went to its end, but recording or printing failed.
     """
     checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
     preflight.require_playable(checks)
@@ -399,7 +399,7 @@ def run(
         console.finish()
     for failure in filter(None, (writer.failure, console.failure)):
         raise SysidError(
-            "the trajectory was played and all motors are disabled, but recording or printing it "
-            f"failed: {error_text(failure)}"
+            "the run is over and all motors are disabled, but recording or printing it failed: "
+            f"{error_text(failure)}"
         )
     return report

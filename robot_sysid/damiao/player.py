@@ -155,8 +155,8 @@ class Player:
         # The last reference and the last command that were sent.
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
-        # A reference that depends on the arm's state, which it gets in every cycle.
-        self._follower: Follower | None = None
+        # Gets the arm's state in every cycle; the reference, if that depends on it.
+        self._follower = Follower()
         # Time in the clock at which the last phase before a stop began [s].
         self._origin: float
         # Time of the last answer in the clock [s].
@@ -251,7 +251,7 @@ class Player:
         limits = self._session.limits
         speed = self._settings.approach_speed
         lowering = Lowering(begin, speed, limits.torque, limits)
-        lowering.stiffness = self._stiffness
+        lowering.stiffness = self._follower.stiffness
         return lowering
 
     def _phase(
@@ -272,11 +272,12 @@ class Player:
         origin = self._timer.next_deadline
         self._origin = origin
         self._standing = standing
-        self._follower = reference if isinstance(reference, Follower) else None
+        self._follower = reference if isinstance(reference, Follower) else Follower()
+        is_lowered = self._follower is reference
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
         while self._timer.next_deadline < end:
-            if self._follower is not None and self._follower.is_done:
+            if self._follower.is_done:
                 return
             deadline = self._timer.wait()
             time = min(deadline - origin, length)
@@ -287,7 +288,6 @@ class Player:
                 self._n_recorded += 1
                 if self._recorder:
                     self._recorder.write(time, origin, replies, acted)
-            is_lowered = self._follower is not None
             self._observer.check(
                 replies, acted, self._standing, self._rising, is_lowered
             )
@@ -317,12 +317,10 @@ class Player:
         rise = 1.0 / n_steps if n_steps > 4.0 else 1.0
         self._gain = min(self._gain + rise, 1.0)
         position, velocity, torque = reference
-        kp = self._gain * np.array(self._settings.kp)
-        kd = np.array(self._settings.kd)
-        if self._follower is not None:
-            kp = self._stiffness * kp
-            # Motors with stiffness alone oscillate.
-            kd = np.maximum(self._follower.damping * kd, KD_STEP * (kp > 0.0))
+        kp = self._gain * np.array(self._settings.kp) * self._follower.stiffness
+        kd = self._follower.damping * np.array(self._settings.kd)
+        # Motors with stiffness alone oscillate.
+        kd = np.maximum(kd, KD_STEP * (kp > 0.0))
         command = MitCommand(position, velocity, kp, kd, self._gain * torque)
         # A motor makes no torque before its first command.
         zero = 0.0 * torque
@@ -336,9 +334,7 @@ class Player:
         self._command = replies.command
         q, qd = self._session.believed_motion
         motor_torque = acted.motor_torque(q, qd)
-        if self._follower is not None:
-            trusted_q, trusted_qd = self._trusted_motion
-            self._follower.follow(trusted_q, trusted_qd, motor_torque)
+        self._follower.follow(*self._trusted_motion, motor_torque)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
         if self._standing and np.all(np.isfinite(q)):
@@ -346,15 +342,11 @@ class Player:
         return replies, acted
 
     @property
-    def _stiffness(self) -> Array | float:
-        """Share of the motors' stiffness that is in force, of all joints or of each (n,)."""
-        return self._follower.stiffness if self._follower else 1.0
-
-    @property
-    def _trusted_motion(self) -> Array:
-        """Believed positions and velocities (2, n) [rad, rad/s]; NaN where they are not trusted."""
+    def _trusted_motion(self) -> tuple[Array, Array]:
+        """Believed positions and velocities (n,) [rad, rad/s]; NaN where they are not trusted."""
         motion = self._session.believed_motion
-        return np.where(self._observer.trusted_joints, motion, np.nan)
+        q, qd = np.where(self._observer.trusted_joints, motion, np.nan)
+        return q, qd
 
     def _stop_gently(self) -> None:
         """Brake the motors that still answer, and hold the arm until it is at rest.
@@ -406,7 +398,7 @@ class Player:
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         # The position of a joint that jumped without stiffness may not be the one that its motor
         # controls: stiffness could push it on.
-        is_loose = observer.stuck & (self._stiffness == 0.0) & np.isfinite(q)
+        is_loose = observer.stuck & (self._follower.stiffness == 0.0) & np.isfinite(q)
         position = np.where(is_loose, q, self._session.sent_position)
         carried = CarriedStop(
             settings,

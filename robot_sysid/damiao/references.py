@@ -128,6 +128,8 @@ class Activity:
 class Follower:
     """Base of references that depend on the arm's state, which they get in every cycle.
 
+    The base itself stands for one that does not: it uses no state, and the whole stiffness.
+
     Attributes:
         stiffness: share of the motors' stiffness, of all joints or of each (n,).
         damping: share of the motors' damping.
@@ -141,7 +143,6 @@ class Follower:
 
         They are NaN where they are unknown [rad, rad/s, N m].
         """
-        raise NotImplementedError
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] of its phase; times never go back."""
