@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3996,
     "robot_sysid/commands": 10935,
-    "robot_sysid/damiao": 32318,
+    "robot_sysid/damiao": 32312,
     "robot_sysid/diagnosis": 15997,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 9644,
     "robot_sysid/records": 10610,
     "robot_sysid/report": 4902,
-    "robot_sysid/results": 11025,
+    "robot_sysid/results": 11013,
     "robot_sysid/servo": 7031,
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3600,

@@ -216,24 +216,24 @@ def measure_drift(
     if len(used) < 5:
         return []
     time, signals = map(np.array, zip(*used))
-    q = signals[:, 0]
     last = time > time[-1] - 0.5
     since = time[last] - np.mean(time[last])
-    half_acceleration, mean_speed, middle = np.polyfit(since, q[last], 2)
+    half_acceleration, mean_speed, middle = np.polyfit(since, signals[last, 0], 2)
     # A tenth of a degree per second is more than two steps of a position in half a second.
     moves = np.abs(mean_speed) > np.radians(0.1)
-    velocity = np.stack([moves * mean_speed, 0.0 * middle])
-    acceleration = np.stack([moves * 2.0 * half_acceleration, 0.0 * middle])
-    motion = Motion(np.zeros(2), np.stack([middle, middle]), velocity, acceleration)
-    needed, gravity = ArmDynamics(robot)(motion)
+    # As it moves, and at rest.
+    velocity = np.outer([1.0, 0.0], moves * mean_speed)
+    acceleration = np.outer([1.0, 0.0], moves * 2.0 * half_acceleration)
+    q = np.array([middle, middle])
+    needed, gravity = ArmDynamics(robot)(Motion(np.zeros(2), q, velocity, acceleration))
     friction = np.abs(robot.friction.torque(velocity)[0])
     ends = np.array([robot.limits.lower, robot.limits.upper])
     columns = (
-        (q[-1] - q[0]) / (time[-1] - time[0]),
+        (signals[-1, 0] - signals[0, 0]) / (time[-1] - time[0]),
         velocity[0] + since[-1] * acceleration[0],
         gravity,
         np.mean(signals[last, 2], axis=0) - needed,
         np.where(moves, friction, robot.friction.largest_dry),
-        np.any(np.abs(q[-1] - ends) < AT_END, axis=0),
+        np.any(np.abs(middle - ends) < AT_END, axis=0),
     )
     return [Drift(*row) for row in zip(robot.joint_names, *columns)]

@@ -94,8 +94,11 @@ def simulator_card(
     unchanged = []
     for link in written.links:
         # What hangs on joints of its own, such as fingers, is not identified.
-        parts = [body for body in link.bodies if body.welded]
-        parts = [x for x in parts if np.any(x.theta) or np.any(original[x.name])]
+        parts = [
+            body
+            for body in link.bodies
+            if body.welded and np.any((body.theta, original[body.name]))
+        ]
         for body in parts:
             theta = body_theta(written.mj_model, body.body_id)
             bodies[body.name] = _exact_numbers(theta)
