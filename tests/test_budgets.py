@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3996,
     "robot_sysid/commands": 10935,
-    "robot_sysid/damiao": 32312,
+    "robot_sysid/damiao": 32337,
     "robot_sysid/diagnosis": 15997,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5300,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 230023,
+    "tests": 230082,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

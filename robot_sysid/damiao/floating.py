@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.damiao.references import Follower, Reference
-from robot_sysid.damiao.settings import Plan
+from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import percent
@@ -27,6 +27,8 @@ SETTLING = 3.0
 """Longest time for which the arm is held until it stands still [s]."""
 FADE = 1.0
 """Time in which the stiffness is then taken away [s]."""
+USUAL = PlaySettings()
+"""Settings that no others widen: how far and how fast a joint may float."""
 AT_END = 0.02
 """Distance from an end of its range at which a joint is held by its stop, perhaps [rad]."""
 
@@ -36,7 +38,8 @@ class Floating(Follower):
 
     It raises HardwareAbort for a joint that moves farther than ``max_tracking_error``, or faster
     than ``approach_speed``, as commands may not follow any faster, or out of the model's range, to
-    which its position would be pulled back at the end.
+    which its position would be pulled back at the end. Settings that allow more than the default
+    ones do not count: an arm that falls is caught.
 
     Args:
         plan: of the n joints, base to terminal; the arm floats without stiffness for its duration.
@@ -82,7 +85,7 @@ class Floating(Follower):
         cycles = round(2.0 / self._settings.period)
         if len(self.samples) > 2 * cycles:
             del self.samples[cycles]
-        is_fast = np.abs(qd) > self._settings.approach_speed
+        is_fast = np.abs(qd) > min(self._settings.approach_speed, USUAL.approach_speed)
         self._fast = np.where(is_fast, self._fast + 1, 0)
 
     def _settle(self) -> None:
@@ -126,7 +129,8 @@ class Floating(Follower):
         inside = np.clip(self._q, self._limits.lower, self._limits.upper)
         # At its end a joint may rest, and its zero be off by as much.
         has_left = np.abs(self._q - inside) > AT_END
-        is_far = np.abs(moved) > self._settings.max_tracking_error
+        farthest = min(self._settings.max_tracking_error, USUAL.max_tracking_error)
+        is_far = np.abs(moved) > farthest
         # A single velocity may be a damaged one.
         for j in np.flatnonzero(is_far | has_left | (self._fast > 1)).tolist():
             what = "is not carried by the model's gravity"

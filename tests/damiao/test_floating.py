@@ -156,6 +156,13 @@ def test_a_wrong_gravity_is_named_with_its_sign_and_size(
     assert np.all(test.moved < 0.2)
 
 
+def test_options_do_not_let_an_arm_fall(float_test):
+    wide = ("--float", "--max-tracking-error", 100, "--approach-speed", 50)
+    test = float_test(arm(0.92), arm(), options=wide)
+    assert test.code == 3 and "and was caught" in test.err
+    assert np.all(test.moved < 0.2)
+
+
 def mirrored(joint):
     """A joint map in which one motor turns the other way than it does, and stands where it does."""
     mounted = [(), ()]
