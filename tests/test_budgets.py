@@ -17,7 +17,7 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3996,
-    "robot_sysid/commands": 10935,
+    "robot_sysid/commands": 10939,
     "robot_sysid/damiao": 32337,
     "robot_sysid/diagnosis": 15997,
     "robot_sysid/dynamics": 3040,

@@ -254,7 +254,9 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
     """Return the step after a trajectory was played: check motors, play again, or identify."""
     if not is_real:
         channel = session.values.get("channel", USUAL_CHANNEL)
-        command = session.command("check", speed=None, record=None, channel=channel)
+        command = session.command(
+            "check", speed=None, record=None, overwrite=None, channel=channel
+        )
         return NextStep("Next, with the arm connected, check its motors", command)
     folder = plan.trajectory.path.parent
     planned = plan_settings(folder)
