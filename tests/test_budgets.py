@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 3996,
     "robot_sysid/commands": 10939,
     "robot_sysid/damiao": 32337,
-    "robot_sysid/diagnosis": 15997,
+    "robot_sysid/diagnosis": 16012,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
     "robot_sysid/logs": 25200,

@@ -124,8 +124,9 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if found:
         return found[:1], fitted
     if not contest.explains:
-        # Friction that drives a joint is a turned sign whatever the model.
-        is_shown = is_relabelled and drives(fitted) and not drives(right)
+        # Friction that drives a joint is a turned sign whatever the model, and nothing else.
+        is_sign = {each.about for each in named} == {"sign"}
+        is_shown = is_sign and drives(fitted) and not drives(right)
         return named if is_shown else [misfit(fitted, contest.least)], right
     # Of more than three causes that act together, the others are small.
     named += name_causes(contest.rounds[:3])
