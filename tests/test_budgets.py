@@ -22,19 +22,19 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16012,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 25200,
+    "robot_sysid/logs": 25220,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
     "robot_sysid/pipeline": 9644,
-    "robot_sysid/records": 10610,
+    "robot_sysid/records": 10670,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11013,
     "robot_sysid/servo": 7031,
-    "robot_sysid/signals": 5300,
+    "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 230082,
+    "tests": 230102,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -35,8 +35,8 @@ from robot_sysid.logs.table import (
 from robot_sysid.logs.text import is_names
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
+from robot_sysid.records.data import RECORDING_SEPARATION
 from robot_sysid.records.file_access import read_json
-from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 # Name of an array of the names of joints.
 _JOINT_NAMES = re.compile(r"joints?([_ ]?names?)?$|(^|/)names?$", re.IGNORECASE)
@@ -91,7 +91,9 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
             titles += [f"{joint}/{name}" for joint in names_of[width]]
         else:
             titles += [f"{name}[{k}]" for k in range(width)]
-    notes = [f"arrays without numbers are not used: {join_names(left_out)}"]
+    notes = [
+        f"arrays that are no columns of numbers are not used: {join_names(left_out)}"
+    ]
     return LogTable(
         path,
         layout,

@@ -20,11 +20,7 @@ from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.logs.table import Lines, LogTable, read_cells, separate_recordings
 from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
 from robot_sysid.records.messages import Progress, count_text, position_unit
-from robot_sysid.signals.resampling import (
-    GAP_STEPS,
-    RECORDING_SEPARATION,
-    sampling_period,
-)
+from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
 from robot_sysid.wording import option_name, option_setting, with_option_names
 
 _TURN = 2.0 * np.pi
@@ -216,7 +212,7 @@ def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(recording.time)
     # Between recordings, such as the episodes of a data set, no sample is missing.
-    step[np.isclose(step, RECORDING_SEPARATION, rtol=0.0, atol=1e-6)] = period
+    step[recording.is_separation] = period
     late = lines[1:][step > GAP_STEPS * np.median(step)]
     if len(late):
         yield (

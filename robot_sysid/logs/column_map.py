@@ -159,7 +159,8 @@ class ColumnFinder:
         kinds = {self.titles[column.index].torque_kind for column in torque}
         for kind in sorted({"commanded", "computed"} & kinds):
             notes.append(f"torques are {kind}, not measured, as they were declared")
-        unused = self._unused_torques({column.index for column in torque})
+        used = {column.index for column in (*position, *torque)}
+        unused = self._unused_torques(used)
         if unused and self.driven == "torque":
             notes.append(f"torques that are not used: {', '.join(unused)}")
         return ColumnMap(
@@ -308,6 +309,8 @@ class ColumnFinder:
             first, last = map(int, ends.groups())
             step = 1 if last >= first else -1
             titles = [f"{factor} * #{k}" for k in range(first, last + step, step)]
+        if "*" in title and len(titles) == 1:
+            raise InputError(f"{title!r} fits no column")
         if len(titles) != len(joint_names):
             joints = count_text(len(joint_names), "joint")
             listed = count_text(len(titles), "column")

@@ -171,7 +171,7 @@ def _map_columns(
     try:
         return finder.find_all()
     except InputError as error:
-        fault = f"{path}: {error}"
+        fault = "; ".join((f"{path}: {error}", *table.notes))
         suggestion = None
         if isinstance(error, UnrecognisedError):
             suggestion = suggest_columns(table, finder, declared)
@@ -244,7 +244,7 @@ _REMEDY = (
 )
 # What to do where columns are in another file.
 _HALF = (
-    "a file of the torques, or of the positions, is given behind this one, both with titles, such "
+    "if positions and torques are in two files, give both, one after the other, with titles such "
     "as q1 and tau1"
 )
 # Fields of options that change what is read from a log.

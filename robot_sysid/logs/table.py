@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.records import Array, ColumnMap
+from robot_sysid.records.data import RECORDING_SEPARATION
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
-from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 ROWS = 10_000
 """Number of rows of a log that are read at a time from files that are not text."""

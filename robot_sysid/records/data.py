@@ -18,6 +18,9 @@ from robot_sysid.errors import InputError
 from robot_sysid.records.arrays import Array, check_arrays
 from robot_sysid.records.messages import count_text
 
+RECORDING_SEPARATION = 10.0
+"""Time that is put between recordings with separate clocks [s]: longer than any filter."""
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -226,8 +229,15 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """Time from the first to the last sample [s]."""
-        return float(np.ptp(self.time))
+        """Time from the first to the last sample, without what is between recordings [s]."""
+        separations = RECORDING_SEPARATION * np.count_nonzero(self.is_separation)
+        return float(np.ptp(self.time)) - separations
+
+    @property
+    def is_separation(self) -> NDArray[np.bool_]:
+        """Which steps (N - 1,) from sample to sample lead to the next recording."""
+        step = np.diff(self.time)
+        return np.isclose(step, RECORDING_SEPARATION, rtol=0.0, atol=1e-6)
 
     @property
     def is_left_out(self) -> NDArray[np.bool_]:

@@ -115,8 +115,6 @@ def bridged_hole(time: Array, grid: Array, rate: float) -> Array:
     return np.where(hole > GAP_STEPS / rate, hole, 0.0)
 
 
-RECORDING_SEPARATION = 10.0
-"""Time that is put between recordings with separate clocks [s]: longer than any filter."""
 SHORTEST_PIECE = 4.0
 """Length below which a piece is not worth filtering, as its ends are cut off (chosen) [s]."""
 

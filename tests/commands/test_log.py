@@ -141,9 +141,7 @@ def test_positions_and_torques_in_two_files_are_one_log(command):
 
 def test_half_a_log_and_two_logs_are_refused(command):
     text = command.run("log q_log.csv arm.xml", code=2).err
-    assert (
-        "a file of the torques, or of the positions, is given behind this one" in text
-    )
+    assert "if positions and torques are in two files, give both" in text
     text = command.run("log log.csv turned.csv arm.xml", code=2).err
     assert "log.csv, turned.csv are logs of their own: check them one by one" in text
 

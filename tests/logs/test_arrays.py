@@ -81,7 +81,7 @@ def test_a_pickled_object_is_never_loaded(tmp_path):
     assert_refused("one position column", path)
     np.savez(path, **COLUMNS, objects=objects)
     log = read_measurements(path, JOINTS)
-    assert "arrays without numbers are not used: objects" in log.notes
+    assert "arrays that are no columns of numbers are not used: objects" in log.notes
     assert not Harmless.loaded
 
 

@@ -81,6 +81,7 @@ def test_recordings_that_follow_each_other_in_a_file_are_read_as_pieces(
     assert np.all(np.diff(log.time) > 0.0)
     pieces = split_at_gaps(log)
     assert len(pieces) == 3
+    assert log.duration == pytest.approx(3.0 * pieces[0].duration, rel=1e-6)
     for piece in pieces:
         np.testing.assert_array_equal(piece.tau, motion(1000).tau)
 
