@@ -197,13 +197,13 @@ def build_problem(
     span = LIMIT_SHARE * limits.span
     start_pose = np.clip(robot.reference, limits.center - span, limits.center + span)
     moved = [
-        f"{name} at {q:.3f} instead of {reference:.3f}"
+        name
         for name, q, reference in zip(robot.joint_names, start_pose, robot.reference)
         if q != reference
     ]
     note = (
-        "the reference configuration is at or beyond a position limit; the motion starts and "
-        f"ends with {', '.join(moved)}"
+        f"the model's pose at rest is at or beyond a position limit of {', '.join(moved)}; the "
+        "motion starts and ends within it"
     )
     if not options.below_base:
         limits = _above_base(robot, limits, start_pose)

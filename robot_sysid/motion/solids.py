@@ -207,7 +207,7 @@ def unguarded_text(links: Sequence[str]) -> str:
         return ""
     return (
         f"nothing keeps {', '.join(links)} from touching anything: the model has no collision "
-        "geometry of them that can meet any other"
+        "geometry there that can meet any other"
     )
 
 
