@@ -255,11 +255,13 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
         parser, "load_robot_model", lambda *a, **k: read.append(a) or load(*a, **k)
     )
     record = tmp_path / "measured.csv"
-    arguments = ("--model", model, "--fd --rate 50 --record", record)
+    arguments = ("--model", model, "--fd --rate 50 --overwrite --record", record)
     out = succeed(capsys, "simulate", trajectory, *arguments)
     assert (
         "played 26 cycles, 0 skipped; started late by 0.00 ms" in out and len(read) == 1
     )
+    # The check that is printed next records nothing.
+    assert "motors check" in out and "--overwrite" not in out
     recording = read_recording(record)
     assert recording.ending == "completed"
     assert np.all(np.isfinite(recording.joint_values("pos")))

@@ -45,7 +45,9 @@ def test_limits_are_those_of_the_model_less_margins():
 def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
     problem = build(limited_arm(lower=0.5))
     assert np.allclose(problem.rest, 1.25 - 0.99 * (0.75 - 0.02 * 1.5))
-    assert any("position limit of joint0, joint1, joint2;" in note for note in problem.notes)
+    assert any(
+        "position limit of joint0, joint1, joint2;" in note for note in problem.notes
+    )
 
 
 def test_without_a_band_only_an_option_limits_accelerations():
