@@ -17,8 +17,8 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3996,
-    "robot_sysid/commands": 10939,
-    "robot_sysid/damiao": 32337,
+    "robot_sysid/commands": 10972,
+    "robot_sysid/damiao": 32397,
     "robot_sysid/diagnosis": 16012,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29499,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 230111,
+    "tests": 230150,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -156,6 +156,8 @@ class Drift:
             stands, what stiffness still adds, and its friction is in it.
         friction: friction at the end by the model, dry friction where it stands [N m].
         is_at_end: whether it is at an end of its range, where a stop may hold it.
+        step: of the torque that its motor is commanded, half of which ``error`` may be off by
+            [N m].
     """
 
     joint: str
@@ -165,6 +167,7 @@ class Drift:
     error: float
     friction: float
     is_at_end: bool
+    step: float
 
     def __str__(self) -> str:
         """Return a sentence: how the joint moves, and what that says of the model."""
@@ -172,8 +175,9 @@ class Drift:
         weight = abs(self.gravity)
         if self.end_speed == 0.0:
             # Stiffness that had not faded yet, when another joint was caught, has held it too.
+            bound = size + self.friction + 0.5 * self.step
             doubt = (
-                f"its gravity is right to within {size + self.friction:.2g} N·m, if its dry "
+                f"its gravity is right to within {bound:.2g} N·m, if its dry "
                 f"friction is the model's {self.friction:.2g}"
             )
             if self.friction == 0.0:
@@ -185,6 +189,9 @@ class Drift:
             speed = np.degrees(abs(self.speed))
             return f"{self.joint} stands (mean drift {speed:.2f} deg/s): {doubt}"
         verb = "sinks" if self.gravity * self.end_speed < 0.0 else "rises"
+        is_within_step = size < 0.5 * self.step
+        if self.friction == 0.0:
+            size = max(size - 0.5 * self.step, 0.0)
         share = f" ({percent(size / weight)})" if size < weight else ""
         deviation = (
             f"{size:.2g} N·m{share} {'more' if self.gravity * self.error > 0.0 else 'less'} than "
@@ -196,20 +203,25 @@ class Drift:
         )
         if self.friction == 0.0:
             text = f"at least {deviation}, which has no friction"
+        if is_within_step:
+            text = (
+                f"perhaps right, as its motor's torque has steps of {self.step:.2g} N·m"
+            )
         return (
-            f"{self.joint} {verb if size <= weight else 'drifts'} at "
+            f"{self.joint} {verb if abs(self.error) <= weight else 'drifts'} at "
             f"{np.degrees(abs(self.end_speed)):.2f} deg/s: its gravity is {text}"
         )
 
 
 def measure_drift(
-    samples: Sequence[tuple[float, Array]], robot: RobotModel
+    samples: Sequence[tuple[float, Array]], robot: RobotModel, step: Array
 ) -> list[Drift]:
     """Return how the joints of an arm drift; nothing where it did not float long enough.
 
     Args:
         samples: of ``Floating``.
         robot: model of the arm with n joints, whose gravity torque carried it.
+        step: of the torques (n,) that motors are commanded [N m].
     """
     from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 
@@ -239,5 +251,6 @@ def measure_drift(
         np.mean(signals[last, 2], axis=0) - needed,
         np.where(moves, friction, robot.friction.largest_dry),
         np.any(np.abs(middle - ends) < AT_END, axis=0),
+        step,
     )
     return [Drift(*row) for row in zip(robot.joint_names, *columns)]

@@ -120,6 +120,14 @@ def test_an_arm_whose_model_is_right_stands(float_test):
     assert np.all(test.moved < 0.01)
 
 
+def test_steps_of_torque_are_no_error_of_the_model(float_test):
+    """Without friction they let a joint drift whose gravity is right."""
+    frictionless = arm(dry=0.0, viscous=0.0)
+    test = float_test(frictionless, frictionless)
+    assert "its motor's torque has steps of 0.0049 N·m" in test.out
+    assert "its gravity is at least" not in test.out
+
+
 def test_the_arm_is_held_with_its_stiffness_where_it_does_not_float(float_test):
     test = float_test(arm(1.0), arm(), options=())
     assert test.code == 0 and "holding (0.8 s)" in test.out

@@ -9,6 +9,7 @@ import numpy as np
 from robot_sysid.commands.motors.session import Session, run_checked
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.floating import Floating, measure_drift
+from robot_sysid.damiao.protocol import Scaling
 from robot_sysid.damiao.references import Activity, hold_reference
 from robot_sysid.damiao.settings import HoldOptions, Plan
 from robot_sysid.errors import HardwareAbort
@@ -54,7 +55,8 @@ def hold(session: Session) -> int:
 
 def _conclude(session: Session, plan: Plan, floating: Floating) -> None:
     """Print how the joints have drifted, and set the verdict; do nothing if they did not float."""
-    drifts = measure_drift(floating.samples, session.robot)
+    scaling = Scaling(joint.spec.limits for joint in plan.trajectory.joints)
+    drifts = measure_drift(floating.samples, session.robot, scaling.steps[2])
     if not drifts:
         return
     session.console.stage(*map(str, drifts))
