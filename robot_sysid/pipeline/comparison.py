@@ -114,6 +114,7 @@ def check_log(
     except InputError as error:
         raise _of_earlier(error, config.model.path, since) from None
     second = _read(robot, config, progress)
+    names, earlier_names = (tuple(log.name for log in side) for side in (second, first))
     # Both sides with one name would be one log.
     first = [replace(log, name=f"{log.name} ({option_name('since')})") for log in first]
     try:
@@ -135,7 +136,6 @@ def check_log(
             f"{second[0].name} shows nothing that could have changed: its joints hardly move, or "
             "those of the earlier log; record a motion of all joints"
         )
-    names, earlier_names = (tuple(log.name for log in side) for side in (second, first))
     return Check(names, earlier_names, bool(changed), tuple(rows), verdict_on(rows))
 
 
