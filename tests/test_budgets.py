@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 32397,
     "robot_sysid/diagnosis": 16012,
     "robot_sysid/dynamics": 3040,
-    "robot_sysid/estimate": 29499,
+    "robot_sysid/estimate": 29482,
     "robot_sysid/logs": 25220,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,

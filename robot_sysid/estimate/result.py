@@ -387,14 +387,11 @@ def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str
     if robot.kind == "urdf" and needs_mjcf(rows, fitted.arm.motors):
         tests = validation(file), error_without_rotors(file)
         shares = [percent(test.relative_error or 0.0) for test in tests]
-        comparison = f"but a torque error of {shares[1]} in place of {shares[0]}"
-        if shares[0] == shares[1]:
-            comparison = f"with a torque error of {shares[1]} like that one's"
         yield (
             f"{MODEL_NAMES['urdf']} has the links and the friction of {MODEL_NAMES['mjcf']}, so "
-            f"that it holds the arm up as well, {comparison} in motion: most readers of URDF know "
-            "neither rotor inertia, which stands in its transmissions, nor motors that turn "
-            "several joints"
+            f"that it holds the arm up as well; in motion its torque error is {shares[1]}, that of "
+            f"{MODEL_NAMES['mjcf']} {shares[0]}: most readers of URDF know neither rotor inertia, "
+            "which stands in its transmissions, nor motors that turn several joints"
         )
 
 

@@ -239,8 +239,8 @@ _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
 }
 # What to do where columns are not recognised.
 _REMEDY = (
-    "say which column is what with {columns FILE}, of lines such as 'position = A, B, C' with a "
-    "title for each joint, or 'position = A*'"
+    "if the model is of this arm, say which column is what with {columns FILE}, of lines such as "
+    "'position = A, B, C' with a title for each joint, or 'position = A*'"
 )
 # What to do where columns are in another file.
 _HALF = (
