@@ -154,7 +154,8 @@ def read_dialect(path: Path) -> Dialect:
     except UnicodeDecodeError:
         encoding = "utf-16" if is_utf16 else "cp1252"
     comment, lines = _read_beginning(path, encoding)
-    if not lines:
+    is_text = is_utf16 or b"\0" not in first_bytes
+    if not (lines and is_text):
         raise InputError(
             f"{path} is of no form that is known, and holds no rows of a table of text; export "
             "CSV, and check that the recording was written"
