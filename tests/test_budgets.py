@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 3996,
     "robot_sysid/commands": 10972,
     "robot_sysid/damiao": 32397,
-    "robot_sysid/diagnosis": 16012,
+    "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
     "robot_sysid/logs": 25232,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 230150,
+    "tests": 230232,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

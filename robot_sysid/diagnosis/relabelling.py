@@ -219,6 +219,11 @@ def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
         "say rad where degrees are said: in {units}, the file of {columns}, a column's title or "
         "the recorder",
     )
+    for joint in moving:
+        if not robot.is_slide[joint]:
+            text = f"the position of joint {names[joint]} looks like degrees"
+            scale = np.where(every[joint] == 1.0, np.pi / 180.0, 1.0)
+            yield Step("angle-unit", text, replace(none, position=np.diag(scale)))
     for joint, degrees in product(moving, (90.0, -90.0, 180.0)):
         if not robot.is_slide[joint]:
             zeros = np.radians(degrees) * every[joint]
@@ -745,6 +750,12 @@ def odd_unit(fitted: Fit) -> Iterator[Finding]:
     friction = dry / np.median(np.maximum(np.delete(dry, joint), 1e-9))
     # Neither links nor gears make one joint so different from the others.
     if min(factor, friction[joint]) > 10.0:
+        scales = np.ones(fitted.arm.robot.n_joints)
+        scales[fitted.arm.indices[joint]] = 1e-3
+        reading = replace(Relabelling.of(len(scales)), torque=np.diag(scales))
+        after = read(fitted, reading).unexplained_share
+        if after > 0.7 * fitted.unexplained_share:
+            return
         name = fitted.arm.joints[joint]
         unit = torque_unit(name in fitted.arm.robot.slides)
         text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in "

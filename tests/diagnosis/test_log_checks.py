@@ -200,6 +200,13 @@ def test_turned_torques_of_all_joints_are_named_and_the_search_is_shown(four_joi
     assert shown == sorted(shown) and len(shown) > 4 and shown[-1] == 1.0
 
 
+def test_one_joint_in_degrees_is_no_torque_in_another_unit(four_joints):
+    degrees = np.where(np.arange(4) == 2, 180.0 / np.pi, 1.0)
+    (finding,) = found_in(four_joints, q=four_joints.log.q * degrees, qd=None)
+    assert finding.text == "the position of joint joint2 looks like degrees"
+    assert finding.correction.position[2] == (2, pytest.approx(np.pi / 180.0))
+
+
 def test_a_turned_position_of_a_vertical_joint_is_no_turned_torque(four_joints):
     """The torques of the joint fit nearly as well with a turned torque."""
     signs = np.array([-1.0, 1.0, 1.0, 1.0])
