@@ -184,9 +184,10 @@ def usable_rows(
         first = first or table.cite(odd[:1])
         # One is always allowed: the last row is often cut off.
         if count > (max(1, share * n_read) if share else 0):
+            allowed = f", more than {100.0 * share:g} %" if share else ""
             raise InputError(
-                f"{count} of {n_read} rows {anomaly}, more than {100.0 * share:g} % "
-                f"(first: {first}); {with_option_names(remedy)}"
+                f"{count} of {n_read} rows {anomaly}{allowed} (first: {first}); "
+                f"{with_option_names(remedy)}"
             )
         notes.append(f"left out rows that {anomaly}: {count} (first: {first})")
     is_later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
