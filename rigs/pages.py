@@ -89,7 +89,9 @@ def make_workshop(folder: Path) -> None:
     """Write the models and logs that the pages speak of to a folder, the working one."""
     (folder / "examples").symlink_to(ROOT / "examples")
     make_models(folder)
-    for number, log in enumerate(("a", "d", "log1", "log2", "log3", "log", "e")):
+    for number, log in enumerate(
+        ("a", "d", "log1", "log2", "log3", "log", "e", "today")
+    ):
         record(folder, "truth.xml", f"{log}.csv", number)
     for number, log in enumerate(("b", "c", "f")):
         record(folder, "loaded.xml", f"{log}.csv", 10 + number)

@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 230232,
+    "tests": 230234,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02
