@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 25239,
+    "robot_sysid/logs": 25251,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8661,
     "robot_sysid/motion": 14850,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11119,
-    "tests": 230234,
+    "tests": 230319,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -125,8 +125,13 @@ class Suggestion:
         indices = [column.index for column in finder.recognise("time")]
         if not indices:
             steady = [k for k in _steady_columns(self.samples) if k in columns]
-            # A column that counts rows is no clock, unless it is called so.
-            named = [k for k in steady if titles[k].quantity_beside_name == "time"]
+            # A column that counts rows is no clock, unless it is called so, or has a unit of time.
+            named = [
+                k
+                for k in steady
+                if titles[k].quantity_beside_name == "time"
+                or titles[k].unit in UNITS["time"]
+            ]
             steps = np.diff(self.samples, axis=0)
             indices = named or [k for k in steady if np.any(steps[:, k] != 1.0)]
             key = "time" if indices else "rate"

@@ -197,6 +197,17 @@ def test_what_was_declared_stays_in_the_line(truth, tmp_path):
         open_log(truth.robot, path, LogOptions(columns="position = w*, units = deg"))
 
 
+@pytest.mark.parametrize(
+    ("title", "line"), [("Takt_ms", "time = Takt_ms"), ("Takt", "rate")]
+)
+def test_a_column_that_counts_is_a_clock_where_it_has_a_unit(
+    truth, tmp_path, title, line
+):
+    columns = {title: "row", "Ist-Position_A{}": "deg", "Ist-Moment_A{}": "tau"}
+    path = write_twin(tmp_path / "log.csv", truth.log, columns)
+    assert suggested(truth.robot, path)[1].startswith(line)
+
+
 def test_slides_have_units_of_their_own(tmp_path):
     robot = arm_of(JOINTS, limits(1.0), (False, True, False))
     log = motion()
