@@ -16,15 +16,15 @@ from pathlib import Path
 from rigs.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 3996,
-    "robot_sysid/commands": 10972,
+    "robot_sysid/api": 3989,
+    "robot_sysid/commands": 10960,
     "robot_sysid/damiao": 32397,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 25251,
+    "robot_sysid/logs": 25262,
     "robot_sysid/mjcf": 7074,
-    "robot_sysid/model": 8661,
+    "robot_sysid/model": 8673,
     "robot_sysid/motion": 14850,
     "robot_sysid/pipeline": 9644,
     "robot_sysid/records": 10670,

@@ -29,7 +29,7 @@ from robot_sysid.logs.arrays import arrays_table
 from robot_sysid.logs.reader import open_logs
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.comparison import Check, check_log
@@ -254,12 +254,7 @@ def payload(
 
 
 @with_keywords(
-    (
-        *options_of_all(
-            ModelOptions, only=("mesh_dir", "joint", "mass_scale", "gravity")
-        ),
-        *options_of_all(LogOptions),
-    )
+    (*options_of_all(ModelOptions, only=OF_LOG), *options_of_all(LogOptions))
 )
 def check(
     model: Model, log: Log | Sequence[Log], since: Log | Sequence[Log], **options: Any

@@ -10,7 +10,7 @@ from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import LOG, MODEL, Command
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.logs import LogOptions
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.records.messages import aligned_lines, number_text
 from robot_sysid.records.option_fields import Option, options_of_all
 
@@ -52,9 +52,7 @@ COMMANDS = (
                     takes_many=True,
                 ),
             ),
-            "model": options_of_all(
-                ModelOptions, only=("mesh_dir", "joint", "mass_scale", "gravity")
-            ),
+            "model": options_of_all(ModelOptions, only=OF_LOG),
             "log": options_of_all(LogOptions),
         },
         run,

@@ -10,7 +10,7 @@ from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import LOG, Command
 from robot_sysid.errors import InputError
 from robot_sysid.logs import CHECKS, LogOptions
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
 from robot_sysid.records.option_fields import (
     Option,
@@ -76,9 +76,7 @@ COMMANDS = (
         f"what is wrong with it, as every identification does: {', '.join(CHECKS)}.",
         {
             "": _ARGUMENTS,
-            "model": options_of_all(
-                ModelOptions, only=("mesh_dir", "joint", "mass_scale", "gravity")
-            ),
+            "model": options_of_all(ModelOptions, only=OF_LOG),
             "log": options_of_all(LogOptions),
         },
         run,

@@ -78,6 +78,7 @@ def _find(
     titles = [read_title(text, robot.joint_names) for text in table.titles]
 
     def recognise(key: str, **columns: Any) -> Sequence[Column]:
+        """Return the columns of a quantity, of declared columns these alone."""
         stated = replace(choices, columns=columns).over(table.choices)
         finder = ColumnFinder(
             table.titles, robot, stated, table.first_row, False, "command" in driven
@@ -85,10 +86,14 @@ def _find(
         return finder.recognise(key)
 
     def indices(*quantities: str) -> list[int]:
-        for key in choices.columns.keys() & {*quantities}:
+        """Return the columns that are one of some quantities; none where joints lack theirs."""
+        declared = [key for key in quantities if key in choices.columns]
+        if declared:
             # What is declared of the other file is not in this one, and a joint without torque has
             # no column.
-            columns = recognise(key, **{key: choices.columns[key]})
+            columns = recognise(
+                declared[0], **{declared[0]: choices.columns[declared[0]]}
+            )
             return [column.index for column in columns if column.factor]
         found = [
             k for k, t in enumerate(titles) if t.quantity_beside_name in quantities

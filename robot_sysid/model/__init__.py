@@ -40,3 +40,7 @@ class ModelOptions(OptionRecord):
         "NAME",
         default_text="home, or the only one",
     )
+
+
+OF_LOG = ("mesh_dir", "joint", "mass_scale", "gravity")
+"""Keys of the options of a model that is compared with a log, and is not moved."""
