@@ -10,10 +10,10 @@ __version__ = "0.1.0"
 # Module to the public names that it defines: functions, the types that they take and return, and
 # errors. Typed in ``__init__.pyi``.
 _NAMES = {
-    "api": ("motors",),
     "api.calls": (
         "Frame",
         "Log",
+        "Model",
         "Regressor",
         "check",
         "identify",
@@ -23,7 +23,6 @@ _NAMES = {
         "read_log",
         "self_test",
     ),
-    "api.keywords": ("Model",),
     "api.results": ("PlanResult", "Result"),
     "config": (
         "Config",
@@ -32,7 +31,6 @@ _NAMES = {
         "PlanConfig",
         "SelfTestConfig",
     ),
-    "damiao.player": ("PlayReport",),
     "errors": (
         "AmbiguousJointError",
         "ColumnsError",
@@ -48,6 +46,8 @@ _NAMES = {
     "pipeline.changes": ("Change",),
     "pipeline.comparison": ("Check",),
     "pipeline.motions": ("CheckedPlan",),
+    # What the package for motors adds is found by this module.
+    "pipeline.motors": ("PlayReport", "motors"),
     "records.arm": (
         "ArmLink",
         "InertialParameters",
@@ -83,10 +83,10 @@ __all__ = sorted(_MODULES)
 def __getattr__(name: str) -> object:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = f"robot_sysid.{_MODULES[name]}"
-    if name == "motors":
-        return _import_module(f"{module}.{name}")
-    return getattr(_import_module(module), name)
+    module = _import_module(f"robot_sysid.{_MODULES[name]}")
+    if name in _NAMES["pipeline.motors"]:
+        module = module.motor_package()
+    return module if name == "motors" else getattr(module, name)
 
 
 def __dir__() -> list[str]:

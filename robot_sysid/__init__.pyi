@@ -1,6 +1,7 @@
-from robot_sysid.api import motors as motors
+from robot_sysid import damiao
 from robot_sysid.api.calls import Frame as Frame
 from robot_sysid.api.calls import Log as Log
+from robot_sysid.api.calls import Model as Model
 from robot_sysid.api.calls import Regressor as Regressor
 from robot_sysid.api.calls import check as check
 from robot_sysid.api.calls import identify as identify
@@ -9,7 +10,6 @@ from robot_sysid.api.calls import payload as payload
 from robot_sysid.api.calls import plan as plan
 from robot_sysid.api.calls import read_log as read_log
 from robot_sysid.api.calls import self_test as self_test
-from robot_sysid.api.keywords import Model as Model
 from robot_sysid.api.results import PlanResult as PlanResult
 from robot_sysid.api.results import Result as Result
 from robot_sysid.config import Config as Config
@@ -53,4 +53,5 @@ from robot_sysid.results.record import Payload as Payload
 from robot_sysid.results.record import Quantity as Quantity
 from robot_sysid.results.record import Verdict as Verdict
 
+motors = damiao
 __version__: str

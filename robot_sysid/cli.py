@@ -29,6 +29,7 @@ from robot_sysid.errors import (
     SysidError,
     handle_stop_signals,
 )
+from robot_sysid.pipeline.motors import motors_required
 from robot_sysid.records.option_fields import suggestion
 
 
@@ -107,9 +108,10 @@ def _find_command(arguments: Sequence[str]) -> Command:
     hint = suggestion(word, COMMANDS)
     if word not in COMMANDS and hint and not is_file:
         raise InputError(f"there is no file and no command {word}: {hint}")
-    module = COMMANDS.get(word, COMMANDS["identify"])
-    commands = importlib.import_module(f"robot_sysid.commands.{module}").COMMANDS
-    names = {command.name: command for command in commands}
+    name = COMMANDS.get(word, COMMANDS["identify"])
+    with motors_required():
+        module = importlib.import_module(f"robot_sysid.commands.{name}")
+    names = {command.name: command for command in module.COMMANDS}
     for count in (2, 1):
         name = " ".join(arguments[:count])
         if name in names:

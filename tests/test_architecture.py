@@ -18,12 +18,14 @@ PACKAGE = Path(__file__).resolve().parents[1] / "robot_sysid"
 # From the top down; a module may import its own folder and every line below its own, nothing else.
 # Modules of the root, the names that the specification gives, are layers of their own.
 LAYERS = (
+    # What the package works without; FINDER imports it by its name.
+    "commands.motors",
+    "damiao",
     "__main__",
     "cli",
     "commands",
     "api",
     "pipeline",
-    "damiao",
     "servo",
     "export",
     "config",
@@ -50,7 +52,9 @@ LAYERS = (
     # Nothing but the version.
     "",
 )
-MAY_PRINT = {"cli", "commands"}
+FINDER = "robot_sysid.pipeline.motors"
+OPTIONAL_NAMES = re.compile(r"""["'](robot_sysid\.)?(damiao|commands\.motors)[.'"]""")
+MAY_PRINT = {"cli", "commands", "commands.motors"}
 LIBRARIES = {
     "mujoco": {
         "model",
@@ -95,8 +99,12 @@ def nodes_of(source: str) -> tuple[ast.AST, ...]:
 
 
 def layer_of(module: str) -> str:
-    """Return the folder of the package that a module lies in, or its name at the root."""
-    return ".".join(module.split(".")[1:2])
+    """Return the folder of the package that a module lies in, or its name at the root.
+
+    The commands for motors are a layer of their own.
+    """
+    _, *names = module.split(".")
+    return ".".join(names[: 2 if names[:2] == ["commands", "motors"] else 1])
 
 
 def imports(
@@ -198,7 +206,22 @@ def print_faults(sources: Mapping[str, str]) -> Iterator[str]:
             yield f"{module} prints"
 
 
-CHECKS = (import_faults, folder_faults, circles, nesting_faults, print_faults)
+def name_faults(sources: Mapping[str, str]) -> Iterator[str]:
+    """Yield one line per module that names what the package works without, to import it."""
+    for module, source in sources.items():
+        is_free = layer_of(module) in LAYERS[:2] or module == FINDER
+        if not is_free and OPTIONAL_NAMES.search(source):
+            yield f"{module} names the package for motors; use {FINDER}"
+
+
+CHECKS = (
+    import_faults,
+    name_faults,
+    folder_faults,
+    circles,
+    nesting_faults,
+    print_faults,
+)
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -233,12 +256,9 @@ DEEP = "\n".join(4 * depth * " " + line for depth, line in enumerate(BLOCKS_OF))
             import_faults,
             "imports matplotlib",
         ),
-        (
-            "motion.x",
-            "import robot_sysid.damiao.player",
-            import_faults,
-            "(motion) imports",
-        ),
+        ("cli", "import robot_sysid.damiao.player", import_faults, "(cli) imports"),
+        ("commands.x", "import robot_sysid.damiao.y", import_faults, "(commands) impo"),
+        ("pipeline.x", "import_module('robot_sysid.damiao')", name_faults, "names the"),
         ("solver", "import scipy.linalg", import_faults, "at start-up"),
         (
             "solver",

@@ -16,9 +16,9 @@ from pathlib import Path
 from rigs.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 3989,
+    "robot_sysid/api": 3451,
     "robot_sysid/commands": 10960,
-    "robot_sysid/damiao": 32397,
+    "robot_sysid/damiao": 33086,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
@@ -26,15 +26,15 @@ BUDGETS = {
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8673,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 9644,
+    "robot_sysid/pipeline": 9733,
     "robot_sysid/records": 10670,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11013,
     "robot_sysid/servo": 7031,
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
-    "robot_sysid": 11119,
-    "tests": 230319,
+    "robot_sysid": 11132,
+    "tests": 230868,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -12,13 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Union
 
 import numpy as np
 
-from robot_sysid.api.keywords import (
-    Model,
-    arm_of,
-    path_of,
-    with_keywords,
-    with_options_of,
-)
+from robot_sysid.api.keywords import with_keywords, with_options_of
 from robot_sysid.api.results import PlanResult, Result, one_thread
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
@@ -30,7 +24,13 @@ from robot_sysid.logs.reader import open_logs
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
 from robot_sysid.model import OF_LOG, ModelOptions
-from robot_sysid.model.compilation import warnings_as_notes
+from robot_sysid.model.compilation import (
+    InMemory,
+    file_of,
+    is_in_memory,
+    warnings_as_notes,
+)
+from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.comparison import Check, check_log
 from robot_sysid.pipeline.motions import design_motion
@@ -38,10 +38,39 @@ from robot_sysid.pipeline.planning import predict_plan
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Array, Recording, RobotModel, checked_array
 from robot_sysid.records.messages import Progress, says
-from robot_sysid.records.option_fields import options_of_all, record_from
+from robot_sysid.records.option_fields import given_values, options_of_all, record_from
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+
+Model = Union[str, "os.PathLike[str]", InMemory]
+"""Path of an MJCF or URDF file, or a model of MuJoCo's."""
+
+
+def path_of(model: Model) -> Path:
+    """Return the file of a model; an MjSpec is first written to a file by MuJoCo.
+
+    Raises:
+        InputError: it is no model, or cannot be written.
+    """
+    if is_in_memory(model):
+        return file_of(model)
+    if not isinstance(model, (str, os.PathLike)):
+        valid = "the path of an MJCF or URDF file, or a mujoco.MjSpec"
+        raise InputError(f"a model is {valid}, not {type(model).__name__}")
+    return Path(model)
+
+
+def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
+    """Return the arm in a model; ``values`` are keywords, of which ``ModelOptions`` are used.
+
+    Raises:
+        InputError: it is no model, or cannot be read.
+    """
+    options = record_from(ModelOptions, values)
+    source = model if is_in_memory(model) else path_of(model)
+    return load_robot_model(source, **given_values(options))
 
 
 class Frame(Protocol):

@@ -1,4 +1,4 @@
-"""Arguments of the Python functions: a model, and the commands' options as keywords.
+"""The commands' options as keywords of the Python functions.
 
 A function takes the options of the record of its command, but for those on files and on what is
 printed. The signature and the meaning of each keyword that ``help`` and a notebook show, and the
@@ -9,56 +9,14 @@ from __future__ import annotations
 
 import functools
 import inspect
-import os
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from itertools import chain
-from pathlib import Path
-from typing import Any, TypeVar, Union
+from typing import Any, TypeVar
 
 from robot_sysid.config import Config
-from robot_sysid.errors import InputError
-from robot_sysid.model import ModelOptions
-from robot_sysid.model.compilation import InMemory, file_of, is_in_memory
-from robot_sysid.parser import load_robot_model
-from robot_sysid.records import RobotModel
-from robot_sysid.records.option_fields import (
-    Option,
-    given_values,
-    record_from,
-    refuse_unknown,
-    value_text,
-)
+from robot_sysid.records.option_fields import Option, refuse_unknown, value_text
 from robot_sysid.wording import in_python, with_option_names
-
-Model = Union[str, "os.PathLike[str]", InMemory]
-"""Path of an MJCF or URDF file, or a model of MuJoCo's."""
-
-
-def path_of(model: Model) -> Path:
-    """Return the file of a model; an MjSpec is first written to a file by MuJoCo.
-
-    Raises:
-        InputError: it is no model, or cannot be written.
-    """
-    if is_in_memory(model):
-        return file_of(model)
-    if not isinstance(model, (str, os.PathLike)):
-        valid = "the path of an MJCF or URDF file, or a mujoco.MjSpec"
-        raise InputError(f"a model is {valid}, not {type(model).__name__}")
-    return Path(model)
-
-
-def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
-    """Return the arm in a model; ``values`` are keywords, of which ``ModelOptions`` are used.
-
-    Raises:
-        InputError: it is no model, or cannot be read.
-    """
-    options = record_from(ModelOptions, values)
-    source = model if is_in_memory(model) else path_of(model)
-    return load_robot_model(source, **given_values(options))
-
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a decorated function, which the decorator keeps."""

@@ -1,5 +1,148 @@
 """Damiao motors: export, check, play and record trajectories over CAN.
 
+Here is what others use of it: Python programs ``rs.motors.play``, which prints nothing and asks
+nobody whether the arm may move, and plans ``arm_motors``; both find it by ``pipeline/motors.py``.
+
 What needs no bus (protocol, trajectory, the simulated arm) works without python-can; the modules
 that open a bus or log its frames import it inside the function that does.
 """
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
+
+from robot_sysid.api.keywords import with_keywords
+from robot_sysid.damiao import execution
+from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.joints import damiao_joints, motor_limits
+from robot_sysid.damiao.player import PlayReport, StopRequest
+from robot_sysid.damiao.preflight import require_playable
+from robot_sysid.damiao.trajectory import LIMITS, export_damiao_trajectory
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.pipeline.motors import ArmMotors
+from robot_sysid.records import RobotModel
+from robot_sysid.records.file_access import atomic_files, temporary_folder
+from robot_sysid.records.option_fields import given_values
+
+if TYPE_CHECKING:
+    from robot_sysid.api.calls import Model
+    from robot_sysid.api.results import PlanResult
+    from robot_sysid.config import MotorOptions
+    from robot_sysid.pipeline.motors import MotionChunk
+
+__all__ = ["Say", "play"]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]
+
+
+def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
+    """Return the motors that options state, for plans; InputError where they do not fit the arm."""
+    types = options.motor_type
+    ids = options.can_id, options.master_id
+    joints = damiao_joints(types, robot.n_joints, *ids, robot.joint_names)
+    limits = motor_limits(joints, [joint.spec.limits[2] for joint in joints])
+
+    def write(chunks: Iterable[MotionChunk], file: TextIO) -> list[str]:
+        """Write a motion, clamped to what frames can carry; return the share that was clamped."""
+        report = export_damiao_trajectory(chunks, joints, file)
+        lines = ["Damiao export, clamped to motor limits:"]
+        for joint, share in zip(joints, report.clamped_percent):
+            lines.append(f"  {joint.name} ({joint.motor_type}): {share:.1f} %")
+        return [*lines, *map("  {}".format, report.warnings)]
+
+    return ArmMotors(limits, LIMITS, write)
+
+
+Say = Callable[[str], None]
+"""Function that is called with one sentence about each event of a run."""
+
+
+@with_keywords(execution.RUN_OPTIONS)
+def play(
+    trajectory: Path | str | PlanResult,
+    *,
+    model: Model | None = None,
+    joint_map: Path | str | None = None,
+    simulate: bool = False,
+    say: Say = lambda sentence: None,
+    **options: Any,
+) -> PlayReport:
+    """Play a trajectory on Damiao motors, with all checks of ``robot-sysid motors play``.
+
+    The arm moves without a question to the user first. Ctrl-C brings the arm to rest, if this is
+    called in the main thread.
+
+    Args:
+        trajectory: a file for motors, or a plan, made with ``export_damiao=True, motor_type=...``.
+        model: MJCF or URDF file of the arm, with which the motors are compared; by default the
+            model of the plan, if ``trajectory`` is a plan.
+        joint_map: file that says how each joint's motor is mounted.
+        simulate: play on a simulated arm of the model instead, in simulated time.
+        say: called with a sentence for each thing that happens.
+        options: those of ``robot-sysid motors play``, such as ``channel="can0"``, ``speed=0.3``,
+            ``park="rest"`` or ``record="measured.csv"``.
+
+    Returns:
+        A report with number of cycles, lateness [s], missed commands and the largest tracking error
+        of each joint [rad].
+
+    Raises:
+        InputError: an option or a file cannot be used.
+        HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
+            may still be enabled.
+    """
+    with _motor_file(trajectory) as (path, plan_options):
+        values = {"trajectory": path, "joint_map": joint_map, **plan_options, **options}
+        if model is not None:
+            from robot_sysid.api.calls import path_of
+
+            values["model"] = path_of(model)
+        run = execution.MotorRun(values)
+        plan = run.plan()
+        require_playable(run.checks(plan))
+        with run.open_simulated(plan) if simulate else run.open_guarded() as link:
+            inspection = inspect_bus(link)
+            # The signs of a simulated arm's motors are not in doubt.
+            checks = run.inspection_checks(plan, inspection, not simulate)
+            require_playable(checks)
+            holding = run.holding(plan)
+            return execution.run(link, plan, inspection, StopRequest(), say, holding)
+
+
+@contextlib.contextmanager
+def _motor_file(
+    trajectory: Path | str | PlanResult,
+) -> Iterator[tuple[Path, Mapping[str, Any]]]:
+    """Yield the path of a trajectory's motor file, and key to value of the options on its arm.
+
+    The file of a plan is temporary, and its options are those that the plan was made with; a path
+    is yielded as it is, without options.
+
+    Raises:
+        SysidError: the plan must not be played.
+        InputError: the plan was made without motors.
+    """
+    from robot_sysid.api.results import PlanResult
+    from robot_sysid.pipeline.planning import draft_motor_file
+
+    if not isinstance(trajectory, PlanResult):
+        yield Path(trajectory), {}
+        return
+    if trajectory.failure:
+        raise SysidError(f"{trajectory.failure}; not played")
+    config = trajectory.config
+    arm_options = {"model": config.model.path, **given_values(config.model)}
+    with temporary_folder() as folder:
+        with atomic_files() as files:
+            plan = trajectory.checked.plan
+            paths, _ = draft_motor_file(config, trajectory.robot, plan, files, folder)
+        if not paths:
+            raise InputError(
+                "the plan is for no motors; give rs.plan export_damiao and motor_type"
+            )
+        yield paths[0], arm_options

@@ -177,7 +177,7 @@ def damiao_joints(
         n_joints: number of joints of the chain.
         can_ids: CAN id per joint, 1 to 15; by default 1, 2, 3, ...
         master_ids: id of the motor's replies per joint; by default the CAN id plus 0x10.
-        names: name of each joint in the model, or nothing; blanks become underscores.
+        names: name of each joint in the model, or nothing.
 
     Raises:
         InputError: wrong number of types or ids, unknown type, or ids that clash.
@@ -197,7 +197,7 @@ def damiao_joints(
             )
     for problem in id_problems(list(zip(can_ids, master_ids))):
         raise InputError(problem)
-    joint_names = ["_".join(name.split()) for name in names] or [""] * n_joints
+    joint_names = names or [""] * n_joints
     # The first four fields of a joint: type, CAN id, master id and name.
     return tuple(map(DamiaoJoint, types, can_ids, master_ids, joint_names))
 

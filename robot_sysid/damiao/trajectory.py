@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, takewhile
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +30,14 @@ from robot_sysid.motion import LimitOptions
 from robot_sysid.records import LIMITED, Array, Limits
 from robot_sysid.records.file_access import read_text
 
+if TYPE_CHECKING:
+    from robot_sysid.pipeline.motors import MotionChunk
+
 # A name and a value in a comment line of a file.
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
 
 ROUNDING = 0.5e-4
 """Largest rounding error of a number with four decimals, as the export writes it."""
-
-MotionChunk = tuple[Array, Array, Array, Array]
-"""Time (N,), position, velocity, feed-forward torque (N, n) [s, rad, rad/s, N m]."""
 
 
 @dataclass(frozen=True)

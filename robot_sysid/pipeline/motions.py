@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_sysid import trajectory
-from robot_sysid.config import MotionConfig, MotorOptions, PlanConfig
+from robot_sysid.config import MotionConfig, PlanConfig
 from robot_sysid.errors import InputError
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
+from robot_sysid.pipeline.motors import arm_motors
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import given_values, require_countable
@@ -19,7 +20,6 @@ from robot_sysid.wording import option_name
 
 # A random motion that nothing plays imports nothing that checks and designs.
 if TYPE_CHECKING:
-    from robot_sysid.damiao.joints import DamiaoJoint
     from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
 
@@ -94,24 +94,6 @@ def is_checked(config: MotionConfig) -> bool:
 def is_designed(config: MotionConfig) -> bool:
     """Return whether a trajectory is to be designed, unless there is a file."""
     return config.excitation.kind == "optimal"
-
-
-def motor_joints(motors: MotorOptions, robot: RobotModel) -> tuple[DamiaoJoint, ...]:
-    """Return the joints of an arm with their motors; none where no option asks for an export.
-
-    InputError where the export is impossible for this arm.
-    """
-    if not motors.export_damiao:
-        return ()
-    from robot_sysid.damiao.joints import damiao_joints
-
-    return damiao_joints(
-        motors.motor_type,
-        robot.n_joints,
-        motors.can_id,
-        motors.master_id,
-        robot.joint_names,
-    )
 
 
 def _require_possible(config: MotionConfig, duration: float) -> None:
@@ -202,17 +184,12 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
     Raises:
         InputError: the arm breaks a limit at rest, or no pose can be a start.
     """
-    joints = motor_joints(config.motors, robot)
     if not is_checked(config):
         return None
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
     from robot_sysid.motion.starts import gentle_problem, startable
 
-    motors = None
-    if joints:
-        from robot_sysid.damiao.joints import motor_limits
-
-        motors = motor_limits(joints, [joint.spec.limits[2] for joint in joints])
+    motors = arm_motors(config.motors, robot)
     is_new = config.trajectory.file is None
     estimation = config.estimation
     problem = build_problem(
@@ -222,7 +199,7 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
         noise_torque=estimation.priors.noise or DEFAULT_NOISE_TORQUE,
         shakes_gently=is_new,
         link_uncertainty=estimation.priors.link,
-        motors=motors,
+        motors=motors.limits if motors else None,
     )
     if config.aim.purpose == WEIGHT:
         problem = gentle_problem(problem)

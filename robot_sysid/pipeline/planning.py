@@ -13,7 +13,8 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.export import Written
 from robot_sysid.motion import WEIGHT
-from robot_sysid.pipeline.motions import CheckedPlan, motor_joints
+from robot_sysid.pipeline.motions import CheckedPlan
+from robot_sysid.pipeline.motors import ArmMotors, arm_motors
 from robot_sysid.pipeline.next_steps import step_after, step_with_motion
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
@@ -27,8 +28,8 @@ from robot_sysid.trajectory import motion_chunks
 from robot_sysid.wording import option_name
 
 if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory import MotionChunk
     from robot_sysid.motion.prediction import Prediction
+    from robot_sysid.pipeline.motors import MotionChunk
 
 
 def predict_plan(
@@ -86,7 +87,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
         lines += clamping
         verdict = [plan_verdict(shortfall, plan_conditions(checked))]
         if not shortfall:
-            step = _step_after(config, paths)
+            step = _step_after(config, arm_motors(config.motors, robot))
             verdict += step.lines()
     answer = {
         "verdict": verdict,
@@ -140,21 +141,19 @@ def plan_conditions(checked: CheckedPlan) -> list[str]:
     return conditions
 
 
-def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
+def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
     """Return what to do with a planned motion: rehearse it on motors, or record and identify.
 
-    ``paths``: the files that were written.
+    ``motors``: that the motion is written for, or None.
     """
     values = vars(config.model)
-    for path in paths:
-        if path.name == DAMIAO_NAME:
-            from robot_sysid.damiao.trajectory import LIMITS
-
-            given = given_values(config.limits)
-            options = options_of_all(config.limits, only=LIMITS)
-            limits = command_arguments(given, options)
-            state = "motion planned for motors"
-            return step_after(state, values, *limits, trajectory=path)
+    if motors is not None:
+        given = given_values(config.limits)
+        options = options_of_all(config.limits, only=motors.kept_options)
+        limits = command_arguments(given, options)
+        trajectory = config.output.output_dir / DAMIAO_NAME
+        state = "motion planned for motors"
+        return step_after(state, values, *limits, trajectory=trajectory)
     folder = config.plan_file.parent
     log = folder / "log.csv"
     return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
@@ -221,24 +220,18 @@ def draft_motor_file(
     files: AtomicFiles,
     folder: Path,
 ) -> tuple[tuple[Path, ...], list[str]]:
-    """Draft a motion for Damiao motors, if an option asks for it, among files in a folder.
+    """Draft a motion for motors, if an option asks for it, among files in a folder.
 
     Returns:
         The path that it will have, and lines on what was clamped of the commands.
     """
-    joints = motor_joints(config.motors, robot)
-    if not joints:
+    motors = arm_motors(config.motors, robot)
+    if motors is None:
         return (), []
-    from robot_sysid.damiao.trajectory import export_damiao_trajectory
-
     path = folder / DAMIAO_NAME
     commands = motor_commands(robot, plan, config.trajectory.sample_rate)
     with files.open(path) as file:
-        report = export_damiao_trajectory(commands, joints, file)
-    lines = ["Damiao export, clamped to motor limits:"]
-    for name, joint, share in zip(robot.joint_names, joints, report.clamped_percent):
-        lines.append(f"  {name} ({joint.motor_type}): {share:.1f} %")
-    return (path,), [*lines, *map("  {}".format, report.warnings)]
+        return (path,), [*motors.write(commands, file)]
 
 
 def motor_commands(

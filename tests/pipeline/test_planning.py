@@ -14,10 +14,10 @@ from robot_sysid.motion.prediction import Prediction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import planning
 from robot_sysid.pipeline.motions import CheckedPlan
+from robot_sysid.pipeline.motors import arm_motors
 from robot_sysid.pipeline.planning import (
     draft_motor_file,
     motor_commands,
-    motor_joints,
     plan_conditions,
     plan_verdict,
     write_plan,
@@ -52,7 +52,7 @@ def test_sent_torques_differ_from_the_models_at_reversals_only(robot):
 def test_motors_of_another_number_of_joints_are_refused(robot):
     motors = MotorOptions(export_damiao=True, motor_type=("DM4340",))
     with pytest.raises(InputError, match="motor"):
-        motor_joints(motors, robot)
+        arm_motors(motors, robot)
     assert draft_motor_file(PlanConfig(), robot, None, None, None) == ((), [])
 
 
