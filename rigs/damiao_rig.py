@@ -23,12 +23,7 @@ from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand, Registe
 from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.session import MotorSession
-from robot_sysid.damiao.settings import (
-    Permissions,
-    Plan,
-    PlaySettings,
-    RecordingOptions,
-)
+from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import (
     SimulatedArm,
     SimulatedLink,
@@ -555,7 +550,6 @@ class Rig(MotorRun):
         n_joints=2,
         faults=(),
         start=None,
-        permissions=None,
         motion=None,
         name="measured",
         extra_motors=(),
@@ -567,7 +561,6 @@ class Rig(MotorRun):
         plan = Plan(
             trajectory,
             PlaySettings(**{**quick, **settings}),
-            permissions=permissions or Permissions(),
             recording=RecordingOptions(self.record_path),
         )
         pendulums = Pendulums(trajectory.n_joints, start)

@@ -41,7 +41,6 @@ from robot_sysid.damiao.references import (
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     HoldOptions,
-    Permissions,
     Plan,
     PlaySettings,
     RecordingOptions,
@@ -79,19 +78,15 @@ class ArmFiles(OptionRecord):
     )
 
 
+NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
+"""The limits of a run for which the user gives none: 1e6 rad/s stops no motion."""
 LIMIT_OPTIONS = options_of_all(
     LimitOptions, only=motion.LIMITS, **dict.fromkeys(motion.LIMITS)
 )
 """Limits of a run; by default only the model limits the motion."""
 RUN_OPTIONS: list[Option] = [
     *options_of_all(
-        ArmFiles,
-        BusAddress,
-        BusTiming,
-        ModelOptions,
-        PlaySettings,
-        Permissions,
-        RecordingOptions,
+        ArmFiles, BusAddress, BusTiming, ModelOptions, PlaySettings, RecordingOptions
     ),
     *LIMIT_OPTIONS,
 ]
@@ -141,7 +136,7 @@ class MotorRun:
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
         joints = self._with_joint_map(trajectory.joints)
-        return self._plan_of(replace(trajectory, joints=joints), self.values)
+        return self._plan_of(replace(trajectory, joints=joints))
 
     def standing_plan(self, inspection: Inspection | None = None) -> Plan:
         """Return the plan that holds the model's arm where an inspection finds it.
@@ -178,35 +173,32 @@ class MotorRun:
             Path("hold"), joints, time, still + pose, still, still + torque
         )
         # The arm stays where it was inspected.
-        return self._plan_of(trajectory, {**self.values, "start_tolerance": 0.05})
+        return self._plan_of(trajectory, start_tolerance=0.05)
 
-    def _plan_of(
-        self, trajectory: motion.DamiaoTrajectory, values: Mapping[str, Any]
-    ) -> Plan:
-        """Return the plan of a trajectory whose joints are mapped, with the settings in values."""
+    def _plan_of(self, trajectory: motion.DamiaoTrajectory, **settings: Any) -> Plan:
+        """Return the plan of a trajectory whose joints are mapped; ``settings`` are no options."""
         robot = self.robot
         mobility = None
         if robot is not None:
             from robot_sysid.simulation.plant import ArmStepper
 
             mobility = ArmStepper(robot, trajectory.q[0]).mobility()
-        recording = record_from(RecordingOptions, values)
+        recording = record_from(RecordingOptions, self.values)
         inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
         recording.require_free(*inputs)
         return Plan(
             trajectory,
-            settings=record_from(PlaySettings, values),
+            settings=replace(record_from(PlaySettings, self.values), **settings),
             timing=self.timing,
-            permissions=record_from(Permissions, self.values),
             recording=recording,
             mobility=mobility,
-            limits=self._limits(),
+            user_limits=self._limits().limits([False] * trajectory.n_joints),
             model_limits=robot and robot.limits,
         )
 
     def _limits(self) -> LimitOptions:
         """Return the user's limits of all motions; a limit that is not given forbids nothing."""
-        return record_from(LimitOptions, {**vars(motion.NO_LIMITS), **self.values})
+        return record_from(LimitOptions, {**vars(NO_LIMITS), **self.values})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         """Return joints (base to terminal) with the ids and mounting of the joint map.
@@ -226,9 +218,9 @@ class MotorRun:
         """Return a plan's checks that need no bus."""
         checks = [*preflight.plan_checks(plan)]
         if self.robot is not None:
-            from robot_sysid.damiao.model_check import model_checks, torque_checks
+            from robot_sysid.damiao.model_check import contact_checks, torque_checks
 
-            checks += model_checks(plan, self._problem)
+            checks += contact_checks(plan, self._problem)
             checks += torque_checks(plan, self.robot)
         return checks
 

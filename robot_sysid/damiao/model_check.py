@@ -1,10 +1,8 @@
-"""Checks of a motor trajectory against a model of the arm: limits, contacts, torques, gravity.
+"""Checks of a motor trajectory against a model of the arm: contacts, torques, gravity.
 
 Between two rows position, velocity and torque change in a straight line, as the player sends them;
-so each row is compared with the model's own joint ranges, speeds and torques, and the straight
-lines between the rows with its bodies. The slope of the positions counts as a velocity too, besides
-the velocity column. The torque that is fed forward is compared with what the motion needs, and that
-with what the motors can do.
+the straight lines between the rows are compared with the model's bodies. The torque that is fed
+forward is compared with what the motion needs, and that with what the motors can do.
 """
 
 from __future__ import annotations
@@ -15,12 +13,17 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
-from robot_sysid.damiao.preflight import note, stop
+from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.preflight import SMALLER, note, stop
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan
-from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, WEIGH_FIRST, limit_excesses
+from robot_sysid.damiao.trajectory import (
+    CANNOT_FOLLOW,
+    DamiaoTrajectory,
+    limit_remarks,
+    motor_ratings,
+)
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
@@ -30,32 +33,31 @@ from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import Remark
 from robot_sysid.wording import with_option_names
 
-# Remedy for a trajectory that leaves the model's limits, or touches something.
-_SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
+# Remedy for an arm that needs more torque than its model says, or than its motors make.
+_WEIGH_FIRST = "weigh the arm with a smaller motion first (see {for_=weight} of plan)"
 
 
 @dataclass(frozen=True)
-class PlayedPath:
+class FilePath:
     """The way of a motor trajectory as a motion plan: straight lines between its rows.
 
     Attributes:
-        plan: plan of the run.
+        trajectory: as read from its file; the time begins with its first row.
     """
 
-    plan: Plan
+    trajectory: DamiaoTrajectory
 
     @property
     def duration(self) -> float:
         """Time of the last row [s]."""
-        return self.plan.duration
+        return np.ptp(self.trajectory.time)
 
     def evaluate(self, time: Array) -> Motion:
         """Return position and slope (K, n) at times (K,) [s], with zero acceleration."""
-        trajectory = self.plan.trajectory
-        speed = self.plan.settings.speed
-        file_time = trajectory.time[0] + speed * time
+        trajectory = self.trajectory
+        file_time = trajectory.time[0] + time
         q = trajectory.sampled(file_time)[0]
-        slope = speed * trajectory.slopes[trajectory.rows_at(file_time)]
+        slope = trajectory.slopes[trajectory.rows_at(file_time)]
         return Motion(time, q, slope, np.zeros_like(q))
 
 
@@ -78,25 +80,19 @@ def transfer_checks(
         )
 
 
-def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
-    """Yield a stop for each limit of the model that a plan exceeds and for each contact.
+def contact_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
+    """Yield a stop where bodies of the model, or the user's obstacles, touch along a trajectory.
 
-    A note names the links whose contacts cannot be found. ``problem`` has the arm of the model,
-    loaded with an infinite ``max_velocity``, so that only the model's limits of speed count, and
-    its geometry and obstacles.
+    A note names the links whose contacts cannot be found. ``problem`` has the arm of the model, its
+    geometry and obstacles.
     """
     unguarded = unguarded_text(problem.unguarded)
     if unguarded:
         yield note(unguarded)
-    limits = problem.robot.limits
-    for excess in limit_excesses(
-        plan.trajectory, plan.settings.speed, "the model's", limits
-    ):
-        yield stop(f"{excess}; {_SMALLER}")
-    contact = first_contact(problem, PlayedPath(plan))
+    contact = first_contact(problem, FilePath(plan.trajectory))
     if contact is not None:
-        text = f"the model's {contact.label} touch at {contact.time:.2f} s"
-        yield stop(f"{text}; {_SMALLER}")
+        time = contact.time / plan.settings.speed
+        yield stop(f"the model's {contact.label} touch at {time:.2f} s; {SMALLER}")
 
 
 def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
@@ -107,19 +103,19 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     """
     arm = ArmDynamics(robot)
     trajectory = plan.trajectory
+    joints = trajectory.joints
     speed = plan.settings.speed
     q, qd, qdd = trajectory.q, trajectory.qd, trajectory.qdd
-    needed = arm(Motion(trajectory.time, q, speed * qd, speed**2 * qdd))
-    joints = trajectory.joints
-    available = peak_torques(joints)
-    peaks = np.abs(needed).max(axis=0)
-    for j in np.flatnonzero(peaks > available):
-        yield stop(
-            f"{joints[j].label}: the motion needs {peaks[j]:.1f} N·m and its motor makes "
-            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {with_option_names(WEIGH_FIRST)}"
-        )
+    time = trajectory.time - trajectory.time[0]
+    weigh_first = with_option_names(_WEIGH_FIRST)
+    needed = arm(Motion(time, q, speed * qd, speed**2 * qdd))
+    most = motor_ratings(joints)[0]._replace(
+        remedy=f"the motion needs it by the model, {CANNOT_FOLLOW}; {weigh_first}"
+    )
+    signals = q, 0.0 * qd, 0.0 * qdd, needed
+    yield from limit_remarks(joints, [most], time / speed, signals)
     # The torque in the file is that of the file's own speed.
-    at_full_speed = arm(Motion(trajectory.time, q, qd, qdd))
+    at_full_speed = arm(Motion(time, q, qd, qdd))
     needed_rms = np.sqrt(np.mean(at_full_speed**2, axis=0))
     error = np.sqrt(np.mean((trajectory.tau - at_full_speed) ** 2, axis=0))
     # Torque (n,) that friction alone may explain [N m].
@@ -132,7 +128,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "
             f"or arm: it is off by {error[j]:.1f} N·m where {robot.path.name} needs "
             f"{needed_rms[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file again for this arm, "
-            f"or {with_option_names(WEIGH_FIRST)}"
+            f"or {weigh_first}"
         )
 
 

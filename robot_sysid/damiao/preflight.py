@@ -1,20 +1,27 @@
-"""The plan of a run on motors, and the checks that it has to pass before an arm may move."""
+"""The checks that a plan has to pass before an arm may move, but for those of its model's bodies.
+
+Each is a finding that stops the run, or that the user should know.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import chain
 
 import numpy as np
 
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits_agree
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
-from robot_sysid.damiao.settings import Plan, PlaySettings, joint_positions
+from robot_sysid.damiao.settings import Plan, joint_positions
+from robot_sysid.damiao.trajectory import (
+    StatedLimits,
+    limit_remarks,
+    motor_ratings,
+    velocity_mismatch,
+)
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records.messages import Level, Remark
 from robot_sysid.wording import option_name
@@ -23,6 +30,8 @@ note = partial(Remark, Level.SAYS, "")
 """Return a finding, by its text, that the user should know."""
 stop = partial(Remark, Level.REFUSES, "")
 """Return a finding, by its text with the remedy, that forbids to play."""
+SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
+"""Remedy for a trajectory that leaves an arm's limits, or touches something."""
 
 
 def stops(checks: Sequence[Remark]) -> list[str]:
@@ -40,11 +49,10 @@ def require_playable(checks: Sequence[Remark]) -> None:
 
 
 def plan_checks(plan: Plan) -> Iterator[Remark]:
-    """Yield the checks of a plan that need neither a bus nor a model of the arm.
+    """Yield the checks of a plan that need no bus.
 
-    They compare ids, speed at the ends, velocities with positions, ratings of the motors, bus load
-    and the user's limits. A rating that the motor cannot exceed stops the run, one that can be
-    exceeded briefly is noted.
+    They compare ids, speed at the ends, velocities with positions, bus load, and the motion with
+    the limits of the motors, the model's joints and the user.
     """
     trajectory = plan.trajectory
     joints = trajectory.joints
@@ -52,13 +60,13 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
     yield from map(stop, id_problems([(j.can_id, j.master_id) for j in joints]))
 
     end_speed = np.max(np.abs(trajectory.qd[[0, -1]])) * settings.speed
-    # A quarter of the default approach speed.
+    # A quarter of the approach speed.
     if end_speed > 0.05:
         yield stop(
             f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
             "rest"
         )
-    mismatch = motion.velocity_mismatch(trajectory)
+    mismatch = velocity_mismatch(trajectory)
     if mismatch is not None:
         row, joint, error = mismatch
         yield stop(
@@ -67,65 +75,62 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
             "with at least four decimals"
         )
 
-    speeds = np.abs(trajectory.qd).max(axis=0) * settings.speed
-    torques = np.abs(trajectory.tau).max(axis=0)
-    for warning in chain(*map(motion.rating_warnings, joints, speeds, torques)):
-        is_possible = motion.CANNOT_FOLLOW not in warning
-        yield note(warning) if is_possible else stop(warning)
-
+    timing = plan.timing
     limit = protocol.PLANNING_LIMIT
-    load = protocol.bus_load(len(joints), 1.0 / settings.period, plan.timing)
+    load = protocol.bus_load(len(joints), 1.0 / settings.period, timing)
     if load > limit:
-        bus_type = "CAN-FD" if plan.timing.fd else "classic CAN"
-        rate = protocol.default_rate(len(joints), plan.timing)
+        rate = protocol.default_rate(len(joints), timing)
         yield stop(
-            f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %, limit "
-            f"{100 * limit:.0f} %; use {option_name('rate', f'{rate:g}')}"
+            f"frames at {settings.rate:g} Hz load {'CAN-FD' if timing.fd else 'classic CAN'} to "
+            f"{100 * load:.0f} %, limit {100 * limit:.0f} %; use {option_name('rate', f'{rate:g}')}"
         )
-    yield from map(
-        stop,
-        motion.limit_excesses(trajectory, settings.speed, "your", plan.user_limits),
-    )
+
+    stated = [*motor_ratings(joints)]
+    if plan.user_limits is not None:
+        remedy = "plan a motion within it"
+        stated.insert(0, StatedLimits(plan.user_limits, "your limit", remedy))
+    if plan.model_limits is not None:
+        stated.insert(0, StatedLimits(plan.model_limits, "the model's limit", SMALLER))
+    yield from limit_remarks(joints, stated, *trajectory.played(settings.speed))
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
     """Yield the checks of a plan against the answers of the motors on the bus.
 
-    Frame limits, answer time and the distance from the first point are only checked if the scaling
-    limits of all joints' motors are known.
+    The range of their frames and the distance from the first point are only checked where the
+    scaling of all joints' motors is known.
     """
+    trajectory = plan.trajectory
+    joints = trajectory.joints
+    settings = plan.settings
+    motors = inspection.motors
     if inspection.unsolicited:
         yield stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
             "talking to these motors; end it first"
         )
-    motors = inspection.motors
     ids = [(can_id, motor.master_id) for can_id, motor in motors.items()]
     yield from map(stop, id_problems(ids))
 
-    joints = plan.trajectory.joints
-    limits = []
+    frames = []
     for joint in joints:
-        motor = motors.get(joint.can_id)
-        if motor is None:
+        if joint.can_id not in motors:
             yield stop(
                 f"{joint.label} does not answer; check power, wiring, its id, bit rate, "
                 f"{option_name('fd')}"
             )
             continue
-        yield from _condition_checks(motor, plan, joint)
+        motor = motors[joint.can_id]
+        yield from motor_checks(motor, plan, joint)
         if set(protocol.SCALING) <= set(motor.registers):
-            limits.append(motor.limits)
-    if len(limits) == len(joints):
-        yield from _readiness_checks(plan, inspection, limits)
+            frames.append(motor.limits)
 
     # Motors outside the trajectory are left limp.
     driven = {joint.can_id for joint in joints}
     others = [motor for can_id, motor in motors.items() if can_id not in driven]
     if others:
-        yield note(
-            f"not in the trajectory and left limp: {', '.join(motor.name for motor in others)}"
-        )
+        names = ", ".join(motor.name for motor in others)
+        yield note(f"not in the trajectory and left limp: {names}")
     for motor in others:
         if motor.feedback is None or motor.feedback.status[0] == protocol.ENABLED:
             yield stop(
@@ -133,20 +138,47 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
                 "not tell: end that program and power-cycle the motor, or take it off the bus"
             )
 
+    # Time from the commands to the last answer [s].
+    round_trip = inspection.round_trip
+    if round_trip is not None and round_trip > REPLY_SHARE * settings.period:
+        rate = protocol.handy_rate(REPLY_SHARE / round_trip)
+        yield stop(
+            f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "
+            f"{settings.rate:g} Hz: commands and samples would be mixed up; use "
+            f"{option_name('rate', f'{rate:g}')} or a faster adapter"
+        )
+    if len(frames) < len(joints):
+        return
+    # Others are those of no motor, and stop the run already.
+    if all(map(_can_scale, frames)):
+        limits = Mounting.of(joints).frame_limits(np.array(frames))
+        stated = [StatedLimits(limits, "its registers' limit", SMALLER)]
+        yield from limit_remarks(joints, stated, *trajectory.played(settings.speed))
+    positions = joint_positions(joints, inspection)
+    for joint, position, first in zip(joints, positions, trajectory.q[0]):
+        # Written so that a NaN stops.
+        if not abs(position - first) <= settings.start_tolerance:
+            yield stop(
+                f"{joint.label} is at {position:.3f} rad but the trajectory starts at {first:.3f}, "
+                f"more than {settings.start_tolerance:g} away; move it by hand (a whole turn: it "
+                "lost its turn count)"
+            )
 
-def _condition_checks(
+
+def _can_scale(limits: Sequence[float]) -> bool:
+    """Return whether frames can scale with PMAX, VMAX and TMAX: finite numbers above zero."""
+    return all(0.0 < limit < np.inf for limit in limits)
+
+
+def motor_checks(
     motor: InspectedMotor, plan: Plan, joint: DamiaoJoint
 ) -> Iterator[Remark]:
-    """Yield the checks of one motor's registers and state.
+    """Yield the checks of the registers and the state of the motor that drives a joint.
 
     PMAX, VMAX, TMAX other than those of the motor type stop the run, or are noted where the user
-    permits the limits in the registers.
-
-    Args:
-        motor: answers of the motor.
-        plan: the plan of the run.
-        joint: joint that the motor drives, with which ids and scaling are compared.
+    accepts the limits in the registers.
     """
+    settings = plan.settings
     name = joint.label
     registers = motor.registers
     if len(motor.reply_ids) > 1:
@@ -156,75 +188,38 @@ def _condition_checks(
         names = ", ".join(number.name for number in sorted(missing))
         yield stop(f"{name} does not answer for {names}; try again")
         return
-    stored_id = motor.master_id
-    if {stored_id, *motor.reply_ids} != {joint.master_id}:
-        answers = ", ".join(
-            f"{reply_id:#x}" for reply_id in sorted(set(motor.reply_ids))
-        )
+    if {motor.master_id, *motor.reply_ids} != {joint.master_id}:
+        answers = ", ".join(f"{reply:#x}" for reply in sorted(set(motor.reply_ids)))
         yield stop(
-            f"{name} answers on {answers} (MST_ID {stored_id:#x}) but the trajectory expects "
+            f"{name} answers on {answers} (MST_ID {motor.master_id:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export again with "
             f"the right {option_name('master_id')}"
         )
 
-    limits = motor.limits
-    nominal_limits = joint.spec.limits
-    if not limits_agree(nominal_limits, limits):
-        stored = ", ".join(f"{limit:g}" for limit in limits)
-        nominal = ", ".join(f"{limit:g}" for limit in nominal_limits)
-        difference = f"{name} has PMAX, VMAX, TMAX {stored} but a {joint.motor_type} has {nominal}"
-        if plan.permissions.register_limits and min(limits) > 0.0:
+    nominal = joint.spec.limits
+    if not limits_agree(nominal, motor.limits):
+        values = [", ".join(map("{:g}".format, row)) for row in (motor.limits, nominal)]
+        difference = (
+            f"{name} has PMAX, VMAX, TMAX {values[0]} but a {joint.motor_type} has "
+            f"{values[1]}"
+        )
+        if settings.accept_register_limits and _can_scale(motor.limits):
             yield note(f"{difference}: the motor's own values are used")
         else:
             yield stop(
                 f"{difference}; if the motor is right, give "
                 f"{option_name('accept_register_limits')}"
             )
-
     mode = int(registers[protocol.Register.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         yield stop(
             f"{name} is in mode {mode} ({protocol.MODES.get(mode, 'unknown')}); set CTRL_MODE to 1 "
             "(MIT)"
         )
-    watchdog = registers[protocol.Register.TIMEOUT] * protocol.TIMEOUT_UNIT
-    yield from _watchdog_checks(name, watchdog, plan.settings)
-    yield from _state_checks(name, motor.feedback, plan.settings)
+    timeout = registers[protocol.Register.TIMEOUT] * protocol.TIMEOUT_UNIT
+    yield from watchdog_checks(name, timeout, settings.period)
 
-
-def _watchdog_checks(
-    name: str, timeout: float, settings: PlaySettings
-) -> Iterator[Remark]:
-    """Yield a finding where a watchdog's timeout [s] is too long, or ends between two cycles.
-
-    ``name`` is the motor's name in the message.
-    """
-    # A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one.
-    # The watchdog has to outlast two such waits in succession.
-    least = 2 * (PAUSE + 1) * settings.period
-    # A longer one is no protection at all (a judgement).
-    longest = 5.0
-    # The timeout to propose, in tenths of a second.
-    proposed = max(0.1, np.ceil(10.0 * least) / 10.0)
-    remedy = f"set it with motors setup --watchdog {proposed:g} --store"
-    watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
-    if not least <= timeout <= longest:
-        yield stop(
-            f"{watchdog} is not from {1e3 * least:g} to {1e3 * longest:g} ms (0 is none: the "
-            f"arm would go on if this program died); {remedy}"
-        )
-    # Until then an arm that nobody commands falls or runs far.
-    elif timeout > 0.5:
-        yield note(f"{watchdog} is long; {remedy}")
-
-
-def _state_checks(
-    name: str, feedback: protocol.Feedback | None, settings: PlaySettings
-) -> Iterator[Remark]:
-    """Yield a stop where a motor's state or temperature forbids to enable it.
-
-    ``name`` is the motor's name in messages.
-    """
+    feedback = motor.feedback
     if feedback is None:
         yield stop(f"{name} does not tell its state; its firmware may be too old")
         return
@@ -245,58 +240,38 @@ def _state_checks(
         )
 
 
-def _readiness_checks(
-    plan: Plan, inspection: Inspection, limits: Sequence[tuple[float, ...]]
-) -> Iterator[Remark]:
-    """Yield the checks for which the scaling of all joints' motors has to be known.
-
-    There is a stop for each quantity of a joint beyond the range of its motor's frames, where not
-    all motors' answers come while the player waits for them, and for each joint that is far from
-    the first point.
+def watchdog_checks(name: str, timeout: float, period: float) -> Iterator[Remark]:
+    """Yield a finding where a watchdog's timeout [s] is too long, or ends between two cycles.
 
     Args:
-        plan: the plan of the run.
-        inspection: answers of the motors.
-        limits: PMAX, VMAX and TMAX of each joint's motor [rad, rad/s, N m].
+        name: the motor's name in the message.
+        timeout: of the watchdog [s].
+        period: length of a control cycle [s].
     """
-    trajectory = plan.trajectory
-    joints = trajectory.joints
-    settings = plan.settings
-    # Others are those of no motor, and stop the run already.
-    if np.min(limits) > 0.0:
-        frames = Mounting.of(joints).frame_limits(np.array(limits))
-        for excess in motion.limit_excesses(
-            trajectory, settings.speed, "its registers'", frames
-        ):
-            yield stop(f"{excess}; export a smaller trajectory")
-
-    # Time from the commands to the last answer [s].
-    round_trip = inspection.round_trip
-    if round_trip is not None and round_trip > REPLY_SHARE * settings.period:
-        rate = protocol.handy_rate(REPLY_SHARE / round_trip)
+    # A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one.
+    # The watchdog has to outlast two such waits in succession.
+    least = 2 * (PAUSE + 1) * period
+    # A longer one is no protection at all (a judgement).
+    longest = 5.0
+    # The timeout to propose, in tenths of a second.
+    proposed = max(0.1, np.ceil(10.0 * least) / 10.0)
+    remedy = f"set it with motors setup --watchdog {proposed:g} --store"
+    watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
+    if not least <= timeout <= longest:
         yield stop(
-            f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "
-            f"{settings.rate:g} Hz: commands and samples would be mixed up; use "
-            f"{option_name('rate', f'{rate:g}')} or a faster adapter"
+            f"{watchdog} is not from {1e3 * least:g} to {1e3 * longest:g} ms (0 is none: the "
+            f"arm would go on if this program died); {remedy}"
         )
-
-    tolerance = settings.start_tolerance
-    positions = joint_positions(joints, inspection)
-    for joint, position, first in zip(joints, positions, trajectory.q[0]):
-        # Written so that a NaN stops.
-        if not abs(position - first) <= tolerance:
-            yield stop(
-                f"{joint.label} is at {position:.3f} rad but the trajectory starts at {first:.3f}, "
-                f"more than {tolerance:g} away; move it by hand (a whole turn: it lost its turn "
-                "count)"
-            )
+    # Until then an arm that nobody commands falls or runs far.
+    elif timeout > 0.5:
+        yield note(f"{watchdog} is long; {remedy}")
 
 
 def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Remark]:
     """Yield a finding where a joint's direction is not known, by its load or a verification.
 
     ``holding`` computes the torques that hold the arm. Where it has no model, or if the user
-    permits them, unknown directions are only noted; otherwise they stop the run.
+    accepts them, unknown directions are only noted; otherwise they stop the run.
     """
     joints = holding.unverified_joints(plan.trajectory.q[0])
     if not joints:
@@ -305,7 +280,7 @@ def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Remark]:
         f"nobody has verified which way {', '.join(joint.label for joint in joints)} turn, and "
         "where the trajectory begins gravity hardly loads them"
     )
-    if plan.permissions.directions or not holding.is_model:
+    if plan.settings.accept_directions or not holding.is_model:
         yield note(f"{finding}: mirrored or swapped, they would be played like that")
     else:
         yield stop(

@@ -12,9 +12,8 @@ import numpy as np
 from robot_sysid.damiao.bus import Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting
 from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
-from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import InputError
-from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array, Limits
 from robot_sysid.records.file_access import refuse_overwriting
 from robot_sysid.records.option_fields import (
@@ -22,15 +21,12 @@ from robot_sysid.records.option_fields import (
     check_speed_factor,
     joint_values,
     option,
+    options_of_all,
 )
 from robot_sysid.wording import option_name
 
-_EACH = "one for all or one per joint"
 # Arguments of options whose default depends on the type of each motor.
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
-# Placeholders for values of options in the help, with unit and range.
-_ANGLE = "ANGLE [rad] >= 0"
-_SPEED = "V [rad/s] > 0"
 
 
 def _stiffness_problem(kp: float) -> str | None:
@@ -48,12 +44,17 @@ def _damping_problem(kd: float) -> str | None:
 
 @dataclass(frozen=True)
 class PlaySettings(OptionRecord):
-    """Gains, speeds and limits of a run; ``for_motors`` completes gains and rate.
+    """Gains, speeds, limits and permissions of a run; ``for_motors`` completes gains and rate.
 
     The text of each option describes it, with its unit. ``kp``, ``kd`` and ``max_torque_error`` are
     empty (for defaults by motor type), or have one value for all joints or one per joint.
 
     Attributes:
+        approach_speed: joint speed on the way to the first point, and when lowered [rad/s].
+        start_tolerance: how far a joint may be from the first point [rad].
+        max_speed_error: how much a joint may be faster or slower than commanded [rad/s].
+        max_torque_error: how far a joint's torque may be from the trajectory's [N m].
+        max_temperature: of power stage and winding [degC].
         max_missed: number of unanswered commands in a row that stop the run; three cycles are a
             third of the shortest watchdog that is allowed.
         max_lateness: largest delay of a control cycle [s]: far more than a busy computer's pauses
@@ -66,10 +67,18 @@ class PlaySettings(OptionRecord):
     """
 
     kp: tuple[float, ...] = option(
-        (), f"stiffness, {_EACH}", "KP [N·m/rad]", check=_stiffness_problem, **_BY_TYPE
+        (),
+        "stiffness, one for all or one per joint",
+        "KP [N·m/rad]",
+        check=_stiffness_problem,
+        **_BY_TYPE,
     )
     kd: tuple[float, ...] = option(
-        (), f"damping, {_EACH}", "KD [N·m·s/rad]", check=_damping_problem, **_BY_TYPE
+        (),
+        "damping, one for all or one per joint",
+        "KD [N·m·s/rad]",
+        check=_damping_problem,
+        **_BY_TYPE,
     )
     rate: float | None = option(
         None,
@@ -80,28 +89,9 @@ class PlaySettings(OptionRecord):
     speed: float = option(
         1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor
     )
-    approach_speed: float = option(
-        0.2,
-        "joint speed on the way to the first point; a joint that floats faster is caught",
-        _SPEED,
-    )
-    start_tolerance: float = option(
-        0.5, "how far a joint may be from the first point", _ANGLE
-    )
     max_tracking_error: float = option(
-        0.2, "how far a joint may leave its path, or float", _ANGLE
+        0.2, "how far a joint may leave its path, or float", "ANGLE [rad] > 0"
     )
-    max_speed_error: float = option(
-        1.0, "how much a joint may be faster or slower than commanded", _SPEED
-    )
-    max_torque_error: tuple[float, ...] = option(
-        (),
-        f"how far a joint's torque may be from the trajectory's, {_EACH}",
-        "TAU [N·m] > 0",
-        takes_many=True,
-        default_text="two thirds of the motor's peak torque",
-    )
-    max_temperature: float = option(80.0, "of power stage and winding", "T [°C] >= 0")
     park: str | None = option(
         None,
         "with rest, lower it until no joint carries a load",
@@ -109,6 +99,19 @@ class PlaySettings(OptionRecord):
         choices=("rest",),
         default_text="disabled where it ends",
     )
+    accept_register_limits: bool = option(
+        False,
+        "use the motors' own PMAX, VMAX, TMAX where they differ from the motor type's",
+    )
+    accept_directions: bool = option(
+        False,
+        "play although nobody has verified which way the joints turn that gravity hardly loads",
+    )
+    approach_speed: float = 0.2
+    start_tolerance: float = 0.5
+    max_speed_error: float = 1.0
+    max_torque_error: tuple[float, ...] = ()
+    max_temperature: float = 80.0
     max_missed: int = 3
     max_lateness: float = 0.02
     ramp_time: float = 0.3
@@ -137,31 +140,29 @@ class PlaySettings(OptionRecord):
         Raises:
             InputError: a setting has neither one value nor one per motor.
         """
-        n = len(specs)
-        rate = self.rate or default_rate(n, timing)
+        rate = self.rate or default_rate(len(specs), timing)
         rated_torque = np.array([spec.rated_torque for spec in specs])
         # Makers of arms with these motors use a stiffness of 240 N m/rad and a damping of 5 N m
         # s/rad for motors with a rated torque of 9 N m, 10 and 1.5 for 3 N m; the defaults are
         # between these.
         stiffness = np.minimum(20.0 * rated_torque, KP_MAX)
-        damping_per_stiffness = 0.025
-        # With more damping, a joint's velocity would settle in less than a cycle.
-        most_damping = np.inf if mobility is None else rate / np.diag(mobility)
+        damping = 0.025 * stiffness
         # At least 0.4 of the usual, as models often lack rotor inertia, and 0.05 N m s/rad.
-        least_damping = np.maximum(0.4 * damping_per_stiffness * stiffness, 0.05)
-        damping = np.minimum(damping_per_stiffness * stiffness, most_damping)
-        damping = np.clip(damping, least_damping, KD_MAX)
-        # More than any excitation needs.
-        torque_error = 2.0 / 3.0 * np.array([spec.peak_torque for spec in specs])
-        defaults = {"kp": stiffness, "kd": damping, "max_torque_error": torque_error}
+        least_damping = np.maximum(0.4 * damping, 0.05)
+        if mobility is not None:
+            # With more damping, a joint's velocity would settle in less than a cycle.
+            damping = np.minimum(damping, rate / np.diag(mobility))
+        defaults = {
+            "kp": stiffness,
+            "kd": np.clip(damping, least_damping, KD_MAX),
+            # More than any excitation needs.
+            "max_torque_error": np.array([spec.peak_torque for spec in specs]) / 1.5,
+        }
         values: dict[str, Any] = {}
         for name, default in defaults.items():
             # An empty setting stands for the default.
-            setting = getattr(self, name)
-            option = option_name(name)
-            values[name] = tuple(
-                joint_values(setting, n, option) if setting else default
-            )
+            setting = getattr(self, name) or tuple(default)
+            values[name] = tuple(joint_values(setting, len(specs), option_name(name)))
         return replace(self, rate=rate, **values)
 
     @property
@@ -171,16 +172,9 @@ class PlaySettings(OptionRecord):
         return 1.0 / self.rate
 
 
-HOLD_SETTINGS = (
-    "kp",
-    "kd",
-    "rate",
-    "approach_speed",
-    "max_tracking_error",
-    "max_torque_error",
-    "max_temperature",
-    "park",
-)
+HOLD_SETTINGS = {
+    stated.key for stated in options_of_all(PlaySettings) if stated.key != "speed"
+}
 """Keys of the options of ``PlaySettings`` that are about an arm which stays where it is."""
 
 
@@ -214,22 +208,6 @@ class HoldOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
-class Permissions(OptionRecord):
-    """Deviations from the checks before a run that the user allows on purpose."""
-
-    register_limits: bool = option(
-        False,
-        "use the motors' own PMAX, VMAX, TMAX where they differ from the motor type's",
-        flag="--accept-register-limits",
-    )
-    directions: bool = option(
-        False,
-        "play although nobody has verified which way the joints turn that gravity hardly loads",
-        flag="--accept-directions",
-    )
-
-
-@dataclass(frozen=True)
 class RecordingOptions(OptionRecord):
     """The files into which a run is recorded."""
 
@@ -259,24 +237,22 @@ class Plan:
         trajectory: trajectory with at least two rows; fewer raise InputError.
         settings: gains, speeds and limits; open ones are chosen for the motors and the bus.
         timing: frame format and bit rates of the bus.
-        permissions: deviations from the checks that the user allows.
         recording: files to write.
         mobility: the arm's inverse mass matrix (n, n) at the first point [1/(kg m^2)]; None without
             a model.
-        limits: user's limits of the trajectory and of the transfer to its first point.
-        model_limits: limits of the model's joints; None without one.
+        user_limits: the user's; None where there are none.
+        model_limits: those of the model's joints; None without one.
 
     The settings become complete when the plan is made: ``PlaySettings.for_motors`` fills them in.
-    The approach is made as slow as the user's limits ask for.
+    The transfer to the first point is made as slow as the limits ask for.
     """
 
     trajectory: DamiaoTrajectory
     settings: PlaySettings = PlaySettings()
     timing: BusTiming = BusTiming()
-    permissions: Permissions = Permissions()
     recording: RecordingOptions = RecordingOptions()
     mobility: Array | None = None
-    limits: LimitOptions = NO_LIMITS
+    user_limits: Limits | None = None
     model_limits: Limits | None = None
 
     def __post_init__(self) -> None:
@@ -287,12 +263,13 @@ class Plan:
             )
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.mobility)
-        # The transfer keeps the user's limits, too.
-        user = self.user_limits
-        speed = min(settings.approach_speed, np.min(user.velocity))
+        # The transfer keeps the limits, too.
+        user = self.user_limits or Limits()
+        tightest = Limits.of(user, self.model_limits or Limits())
+        speed = min(settings.approach_speed, np.min(tightest.velocity))
         # The peak acceleration of a transfer is at most 3.08 times its peak speed over its least
         # duration.
-        time = 3.08 * speed / np.min(user.acceleration)
+        time = 3.08 * speed / np.min(tightest.acceleration)
         settings = replace(
             settings,
             approach_speed=speed,
@@ -306,11 +283,6 @@ class Plan:
         return np.ptp(self.trajectory.time) / self.settings.speed
 
     @property
-    def user_limits(self) -> Limits:
-        """The user's limits of the n joints, none of which is a slide."""
-        return self.limits.limits([False] * self.trajectory.n_joints)
-
-    @property
     def command_limits(self) -> Limits:
         """Limits of commands for the n joints: the model's positions, or else the trajectory's.
 
@@ -319,8 +291,8 @@ class Plan:
         """
         q = self.trajectory.q
         ranges = self.model_limits or Limits(np.min(q, axis=0), np.max(q, axis=0))
-        speeds = np.vstack([self.trajectory.slopes, self.trajectory.qd])
-        peak_speed = self.settings.speed * np.abs(speeds).max(axis=0)
+        speeds = np.abs(np.vstack([self.trajectory.slopes, self.trajectory.qd]))
+        peak_speed = self.settings.speed * speeds.max(axis=0)
         speed = np.maximum(peak_speed, self.settings.approach_speed)
         # The trajectory's rows are rounded.
         return Limits(ranges.lower, ranges.upper, 1.1 * speed)
@@ -331,8 +303,7 @@ def joint_positions(joints: Sequence[DamiaoJoint], inspection: Inspection) -> Ar
 
     ``inspection`` has each motor's answer by its CAN id; a joint without one has NaN.
     """
-    positions = np.full(len(joints), np.nan)
-    for j, joint in enumerate(joints):
-        if joint.can_id in inspection.motors:
-            positions[j] = inspection.motors[joint.can_id].position
+    motors = inspection.motors
+    ids = [joint.can_id for joint in joints]
+    positions = np.array([motors[i].position if i in motors else np.nan for i in ids])
     return Mounting.of(joints).inverse.signals(positions, positions, positions)[0]

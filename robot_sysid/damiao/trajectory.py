@@ -17,18 +17,18 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, takewhile
+from itertools import chain, cycle, takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.joints import MASTER_ID_OFFSET, RPM, DamiaoJoint, motor_spec
 from robot_sysid.errors import InputError
-from robot_sysid.motion import LimitOptions
 from robot_sysid.records import LIMITED, Array, Limits
 from robot_sysid.records.file_access import read_text
+from robot_sysid.records.messages import Level, Remark
 
 if TYPE_CHECKING:
     from robot_sysid.pipeline.motors import MotionChunk
@@ -107,6 +107,25 @@ class DamiaoTrajectory:
         """Slopes (N - 1, n) of the positions over the file's time, from row to row [rad/s]."""
         return np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
 
+    def played(
+        self, speed: float
+    ) -> tuple[Array, tuple[Array, ...], tuple[float, ...]]:
+        """Return the motion as it is played at a factor of the file's speed.
+
+        It is what ``limit_remarks`` takes: times (N,) [s]; position, velocity, acceleration, torque
+        (N, n); and what rounding of the file's numbers may make of each. Velocities are without
+        sign, and not below the slope of the positions from row to row.
+        """
+        step = np.diff(self.time)[:, None]
+        velocity = np.abs(self.qd)
+        slopes = np.abs(self.slopes) - 2.0 * ROUNDING / step
+        velocity[:-1] = np.maximum(velocity[:-1], slopes)
+        signals = self.q, speed * velocity, speed**2 * self.qdd, self.tau
+        # A velocity is rounded at both ends of a step.
+        per_step = 2.0 * ROUNDING / step.min()
+        rounding = ROUNDING, ROUNDING, per_step, ROUNDING
+        return (self.time - self.time[0]) / speed, signals, rounding
+
 
 def export_damiao_trajectory(
     motion_chunks: Iterable[MotionChunk], joints: tuple[DamiaoJoint, ...], file: TextIO
@@ -122,15 +141,16 @@ def export_damiao_trajectory(
     Raises:
         InputError: there are no samples, or a value is not finite.
     """
-    chunks = iter(motion_chunks)
+    chunks = (chunk for chunk in motion_chunks if len(chunk[0]))
     first = next(chunks, None)
-    if first is None or len(first[0]) == 0:
+    if first is None:
         raise InputError("the trajectory to export has no samples")
     # Greatest position, velocity and torque (3, 1, n) that frames can carry.
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     n_rows = 0
     n_clamped = np.zeros(len(joints))
-    peaks = np.zeros((3, len(joints)))
+    # Times and signals of the rows with the largest values.
+    peaks: list[tuple[Array, Array]] = []
     # Milliseconds where all times of the first chunk are whole ones, else microseconds.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     file.write(_head(joints))
@@ -141,18 +161,23 @@ def export_damiao_trajectory(
             raise InputError("the trajectory to export has values that are not finite")
         clamped = np.clip(signals, -limits, limits)
         n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
-        peaks = np.maximum(peaks, np.abs(signals).max(axis=1, initial=0.0))
+        rows = np.unique(np.abs(signals).argmax(axis=1))
+        peaks.append((chunk[0][rows], signals[:, rows]))
         n_rows += len(chunk[0])
         file.write(_rows(chunk[0], clamped, decimals))
     percent = 100.0 * n_clamped / n_rows
     warnings = []
-    for joint, share, velocity, torque in zip(joints, percent, *peaks[1:]):
+    for joint, share in zip(joints, percent):
         if share:
             warnings.append(
                 f"{joint.label}: {share:.2f} % of the samples were clamped to the limits of a "
                 f"{joint.motor_type}; use a stronger motor or a slower trajectory"
             )
-        warnings += rating_warnings(joint, velocity, torque)
+    times, rows_of_peaks = zip(*peaks)
+    q, qd, tau = np.concatenate(rows_of_peaks, axis=1)
+    motion = np.concatenate(times), (q, qd, 0.0 * qd, tau)
+    for remark in limit_remarks(joints, motor_ratings(joints), *motion):
+        warnings.append(remark.text)
     return DamiaoExportReport(percent, tuple(warnings))
 
 
@@ -185,38 +210,6 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
     # One format for all rows at once, because a loop over rows is slow.
     row = ",".join([f"%.{decimals}f"] + ["%.4f"] * cells.shape[1]) + "\n"
     return (row * len(time)) % tuple(np.column_stack([time, cells]).ravel())
-
-
-CANNOT_FOLLOW = "it cannot follow"
-"""End of a sentence about a motor that cannot do what a motion needs."""
-WEIGH_FIRST = "weigh the arm with a smaller motion first (see {for_=weight} of plan)"
-"""Remedy for an arm that needs more torque than its model says, or than its motors make."""
-
-
-def rating_warnings(
-    joint: DamiaoJoint, velocity: float, torque: float
-) -> Iterator[str]:
-    """Yield a sentence for each rating of a motor that a motion exceeds.
-
-    ``velocity`` and ``torque`` are the largest magnitudes of the motion [rad/s, N m]. Of the peak
-    and the rated torque only the higher one that is exceeded is named.
-    """
-    spec = joint.spec
-    for limit, name, remedy in (
-        (spec.peak_torque, "peak", CANNOT_FOLLOW),
-        (spec.rated_torque, "rated", "fine for a moment, too hot for long"),
-    ):
-        if torque > limit:
-            yield (
-                f"{joint.label}: {torque:.2f} N·m exceeds the {name} torque of a {spec.name}, "
-                f"{limit:g} N·m; {remedy}"
-            )
-            break
-    if spec.no_load_rpm is not None and velocity > spec.no_load_rpm * RPM:
-        yield (
-            f"{joint.label}: {velocity:.2f} rad/s ({velocity / RPM:.0f} rpm) exceeds the no-load "
-            f"speed of a {spec.name}, {spec.no_load_rpm * RPM:.2f} rad/s; {CANNOT_FOLLOW}"
-        )
 
 
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
@@ -285,49 +278,83 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
     )
 
 
-NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
-"""The limits of a run for which the user gives none: 1e6 rad/s stops no motion."""
 MODEL_LIMITS = "workspace", "keep_out", "clearance"
 """The limits that can only be compared with a model of the arm."""
 LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
 """Names of the limits of a motion that hold for all that a run moves."""
 
 
-def limit_excesses(
-    trajectory: DamiaoTrajectory, speed: float, owner: str, limits: Limits
-) -> Iterator[str]:
-    """Yield a sentence for each joint and each limit that a trajectory exceeds.
+CANNOT_FOLLOW = "it cannot follow"
+"""What a motor does with a motion that needs more than it can do."""
 
-    The slope of the positions from row to row counts as a velocity too. What the rounding of the
-    file's numbers may make is left to each quantity.
+
+class StatedLimits(NamedTuple):
+    """Limits of the n joints of a run.
+
+    Attributes:
+        limits: of the joints.
+        owner: who states them, in words; may have the field ``joint``.
+        remedy: what to do where a motion exceeds one, or what then happens.
+        level: whether that forbids the run.
+    """
+
+    limits: Limits
+    owner: str
+    remedy: str
+    level: Level = Level.REFUSES
+
+
+def motor_ratings(joints: Sequence[DamiaoJoint]) -> tuple[StatedLimits, StatedLimits]:
+    """Return what the motors of n joints can do at most, and what they can do for long."""
+    specs = [joint.spec for joint in joints]
+    no_load = RPM * np.array([spec.no_load_rpm or np.inf for spec in specs])
+    peak = np.array([spec.peak_torque for spec in specs])
+    rated = np.array([spec.rated_torque for spec in specs])
+    most = Limits(velocity=no_load, torque=peak)
+    smaller = f"{CANNOT_FOLLOW}: plan a smaller or slower motion"
+    heat = "it gets too hot if that lasts"
+    return (
+        StatedLimits(most, "what a {joint.motor_type} can do,", smaller),
+        StatedLimits(
+            Limits(torque=rated),
+            "what a {joint.motor_type} can do for long,",
+            heat,
+            Level.SAYS,
+        ),
+    )
+
+
+def limit_remarks(
+    joints: Sequence[DamiaoJoint],
+    stated: Iterable[StatedLimits],
+    time: Array,
+    signals: Sequence[Array],
+    rounding: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+) -> Iterator[Remark]:
+    """Yield a finding for each joint and each limit that a motion exceeds.
 
     Args:
-        trajectory: with n joints.
-        speed: factor of the file's speed at which it is played.
-        owner: whose limits they are, in words: "your", "the model's".
-        limits: of the joints.
+        joints: the n joints.
+        stated: the limits.
+        time: of the rows (N,) [s].
+        signals: position, velocity, acceleration, torque (N, n) of the joints.
+        rounding: by how much each of these may be off.
     """
-    step = np.diff(trajectory.time)[:, None]
-    velocity = np.abs(trajectory.qd)
-    slopes = np.abs(trajectory.slopes) - 2.0 * ROUNDING / step
-    velocity[:-1] = np.maximum(velocity[:-1], slopes)
-    acceleration = speed**2 * trajectory.qdd
-    signals = limits.signals(
-        trajectory.q, speed * velocity, acceleration, trajectory.tau
-    )
-    time = (trajectory.time - trajectory.time[0]) / speed
-    labels = [joint.label for joint in trajectory.joints]
-    rounding = np.full(signals.shape[1], ROUNDING)
-    # A velocity is rounded at both ends of a step.
-    rounding[2 * len(labels) : 3 * len(labels)] = 2.0 * ROUNDING / step.min()
-    for use in limits.uses([(time, signals)], labels, rounding):
-        if not use.is_kept:
-            value = use.middle + use.value
-            limit = use.middle + use.limit
-            yield (
-                f"{use.owner}: {use.quantity} {value:.4g} {LIMITED[use.quantity]} is beyond "
-                f"{owner} limit {limit:g}, at {use.time:.2f} s"
-            )
+    labels = [joint.label for joint in joints]
+    tolerance = np.append(np.repeat(rounding, len(labels)), 0.0)
+    for limits, owner, remedy, level in stated:
+        columns = limits.signals(*signals)
+        uses = limits.uses([(time, columns)], labels, tolerance)
+        # Each quantity has one use per joint.
+        for use, joint in zip(uses, cycle(joints)):
+            if not use.is_kept:
+                yield Remark(
+                    level,
+                    "",
+                    f"{use.owner}: {use.quantity} {use.middle + use.value:.4g} "
+                    f"{LIMITED[use.quantity]} is beyond {owner.format(joint=joint)} "
+                    f"{use.middle + use.limit:g}, at {use.time:.2f} s; {remedy}",
+                )
 
 
 def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:

@@ -70,10 +70,9 @@ class LimitUse(NamedTuple):
     Attributes:
         quantity: one of ``LIMITED``; "speed" of the tool, "clearance" of two bodies.
         owner: the joint, tool or bodies that have the limit, in words.
-        middle: that value and limit are stated from, of a position's range, else zero [SI];
-            negated where the value is below it, so that value and limit are positive.
-        value: the farthest one from the middle [SI].
-        limit: of the value [SI].
+        middle: that value and limit are stated from, of a position's range, else zero [SI].
+        value: the farthest one from the middle [SI]; negative for a position below it.
+        limit: of the value, with its sign [SI].
         time: when the value is reached [s].
         is_kept: whether the value is within the limit, but for rounding.
     """
@@ -225,14 +224,16 @@ class Limits:
         """
         peaks = [_farthest(signals, time[:, None]) for time, signals in chunks]
         values, times = _farthest(*map(np.stack, zip(*peaks)))
+        n_joints = len(joints)
         columns = self.columns
-        middles = np.append(self.center, np.zeros(len(columns) - len(joints)))
-        sizes = np.abs(values)
+        middles = np.append(self.center, np.zeros(len(columns) - n_joints))
+        # Only positions have limits that differ between the two directions.
+        values[n_joints:] = np.abs(values[n_joints:])
         # A value that is NaN is not within its limit.
-        is_kept = sizes <= (1.0 + ROUNDING) * columns + rounding
+        is_kept = np.abs(values) <= (1.0 + ROUNDING) * columns + rounding
+        limits = np.copysign(columns, values)
         owners = limited_quantities(joints)
-        middles *= np.sign(values)
-        rows = zip(owners, middles, sizes, columns, times, is_kept)
+        rows = zip(owners, middles, values, limits, times, is_kept)
         return [LimitUse(*owner, *numbers) for owner, *numbers in rows]
 
 

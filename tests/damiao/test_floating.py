@@ -165,7 +165,7 @@ def test_a_wrong_gravity_is_named_with_its_sign_and_size(
 
 
 def test_options_do_not_let_an_arm_fall(float_test):
-    wide = ("--float", "--max-tracking-error", 100, "--approach-speed", 50)
+    wide = ("--float", "--max-tracking-error", 100)
     test = float_test(arm(0.92), arm(), options=wide)
     assert test.code == 3 and "and was caught" in test.err
     assert np.all(test.moved < 0.2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +12,9 @@ from hypothesis import strategies as st
 from rigs.damiao_rig import trajectory_of
 from robot_sysid.commands.motors.setup import SetupOptions
 from robot_sysid.damiao.joints import MOTORS
-from robot_sysid.damiao.preflight import _watchdog_checks, plan_checks
+from robot_sysid.damiao.preflight import plan_checks, watchdog_checks
 from robot_sysid.damiao.protocol import BusTiming, bus_load
-from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.trajectory import NO_LIMITS
+from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import record_from
 
@@ -31,13 +29,8 @@ def rows_of(n, position=0.0, velocity=0.0, torque=0.0, seconds=1.0):
 def checks_of(rows, types, timing=None, **settings):
     """What is said to what the checks look at of a plan, without a trajectory file."""
     played = trajectory_of(rows, *types)
-    timing = timing or BusTiming()
-    completed = PlaySettings(**settings).for_motors(
-        [joint.spec for joint in played.joints], timing
-    )
-    user = NO_LIMITS.limits([False] * len(types))
-    fields = {"settings": completed, "timing": timing, "user_limits": user}
-    return [*plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))]
+    plan = Plan(played, PlaySettings(**settings), timing or BusTiming())
+    return [*plan_checks(plan)]
 
 
 def severities(checks, words):
@@ -64,26 +57,25 @@ def test_a_bus_that_is_too_full_is_refused(rate, n, fd):
 @pytest.mark.parametrize("name", ["DM4340", "DM6248", "DMS3519"])
 def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(name):
     spec = MOTORS[name]
-    for torque, severity in (
-        (spec.rated_torque, Level.SAYS),
-        (spec.peak_torque, Level.REFUSES),
+    for torque, levels in (
+        (spec.rated_torque, [Level.SAYS]),
+        (spec.peak_torque, [Level.REFUSES, Level.SAYS]),
     ):
         checks = checks_of(rows_of(1, torque=1.001 * torque), [name])
-        assert severities(checks, "torque of a") == [severity]
+        assert severities(checks, f"N·m is beyond what a {name} can do") == levels
     for share in (0.999, 1.001):
         top = share * (spec.no_load_rpm or 0.0) * 2 * np.pi / 60
         checks = checks_of(rows_of(1, velocity=top), [name])
-        noted = severities(checks, "exceeds the no-load speed")
+        noted = severities(checks, f"rad/s is beyond what a {name} can do")
         assert noted == [Level.REFUSES] * (top > 0.0 and share > 1.0)
 
 
 @pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
 @pytest.mark.parametrize("timeout", [0.0, 1e-3, 4.9, 20.0])
 def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, timeout):
-    settings = PlaySettings(rate=rate)
-    for check in _watchdog_checks("motor 1", timeout, settings):
+    for check in watchdog_checks("motor 1", timeout, 1.0 / rate):
         (advised,) = re.findall(r"--watchdog ([\d.]*\d)", check.text)
         # Refuses what cannot be given.
         given = record_from(SetupOptions, {"watchdog": float(advised)})
-        checks = _watchdog_checks("motor 1", given.watchdog, settings)
+        checks = watchdog_checks("motor 1", given.watchdog, 1.0 / rate)
         assert severities(checks, "") in ([], [Level.SAYS])

@@ -41,7 +41,6 @@ from robot_sysid.damiao.protocol import (
     special_frame,
 )
 from robot_sysid.damiao.session import MotorSession
-from robot_sysid.damiao.settings import Permissions
 from robot_sysid.errors import HardwareAbort
 
 USUAL = {"rate": 250.0}
@@ -87,7 +86,7 @@ def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(
 ):
     plain = plain_run.recording.joint_values("tau")
     options = {"motion": swing(2, duration=0.8), "faults": [fault(0, TMAX=20)]}
-    run = rig(permissions=Permissions(register_limits=True), **options).run()
+    run = rig(accept_register_limits=True, **options).run()
     recording = run.assert_played()
     assert any("TMAX=20" in line for line in recording.head)
     np.testing.assert_allclose(recording.joint_values("tau"), plain, rtol=0, atol=0.05)

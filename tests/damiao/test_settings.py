@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,8 +22,8 @@ from robot_sysid.damiao.protocol import (
 )
 from robot_sysid.damiao.references import Reference, transfer_reference
 from robot_sysid.damiao.settings import Plan, PlaySettings
-from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.errors import InputError
+from robot_sysid.records import Limits
 from robot_sysid.records.option_fields import options_of
 
 SPECS = st.lists(st.sampled_from(list(MOTORS.values())), min_size=1, max_size=8)
@@ -98,8 +96,8 @@ def test_a_light_joint_is_damped_less(specs, timing, data):
 
 
 def test_transfers_keep_the_limits_of_a_user():
-    limits = replace(NO_LIMITS, max_velocity=(0.1, 9.0), max_acceleration=0.05)
-    settings = Plan(trajectory_of(swing(2)), limits=limits).settings
+    limits = Limits(velocity=np.array([0.1, 9.0]), acceleration=0.05)
+    settings = Plan(trajectory_of(swing(2)), user_limits=limits).settings
     begin = Reference(*np.zeros((3, 2)))
     for way in (0.01, 0.2, 0.5):
         target = begin._replace(position=np.full(2, way))

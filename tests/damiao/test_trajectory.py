@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,13 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rigs.damiao_rig import export, swing, trajectory_of
+from rigs.damiao_rig import export, swing
 from robot_sysid.damiao.joints import MOTORS
-from robot_sysid.damiao.trajectory import (
-    NO_LIMITS,
-    limit_excesses,
-    read_damiao_trajectory,
-)
+from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.errors import InputError
 
 
@@ -141,20 +136,3 @@ def test_windows_line_ends_and_blank_lines_are_fine_and_a_missing_file_is_named(
         (GOOD + "0,0,0,0\n\n1,1,1,1\n\n").replace("\n", "\r\n").encode("utf-8-sig")
     )
     np.testing.assert_array_equal(reread(path)[0], [0.0, 1.0])
-
-
-def excesses(trajectory, speed, options):
-    """What a motion of two joints does beyond a user's limits."""
-    limits = options.limits([False, False])
-    return list(limit_excesses(trajectory, speed, "your", limits))
-
-
-def test_a_users_limits_hold_at_the_speed_that_is_played():
-    swinging = trajectory_of(swing(2, rate=100.0))
-    for speed in (0.5, 1.0):
-        shaken = speed**2 * np.abs(swinging.qdd).max(axis=0)
-        # Four digits of the velocities make 0.01 rad/s^2 of it.
-        limits = replace(NO_LIMITS, max_acceleration=tuple(shaken - [0.02, 0.0]))
-        (finding,) = excesses(swinging, speed, limits)
-        assert finding.startswith("motor 1: acceleration ")
-    assert excesses(swinging, speed, NO_LIMITS) == []

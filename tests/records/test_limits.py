@@ -60,10 +60,13 @@ def test_an_excess_states_the_farthest_sample_and_the_limit_on_its_side(seed):
                 ends = limits.lower[joint], limits.upper[joint]
         middle = np.mean(ends)
         farthest = values[int(use.time)]
-        assert abs(farthest - middle) == np.max(np.abs(values - middle)) == use.value
-        side = np.sign(farthest - middle)
+        assert abs(farthest - middle) == np.max(np.abs(values - middle))
+        assert abs(farthest - middle) == abs(use.value)
+        # Only of a position it is said on which side it is.
+        side = 1.0 if use.quantity == "position" else np.sign(farthest)
+        end = ends[int(farthest > middle)]
         assert side * farthest == pytest.approx(use.middle + use.value)
-        assert side * ends[int(side > 0.0)] == pytest.approx(use.middle + use.limit)
+        assert side * end == pytest.approx(use.middle + use.limit)
         assert use.share > 1.0
 
 

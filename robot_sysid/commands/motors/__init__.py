@@ -33,7 +33,6 @@ from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
     HOLD_SETTINGS,
     HoldOptions,
-    Permissions,
     PlaySettings,
     RecordingOptions,
 )
@@ -131,12 +130,7 @@ def run_command(
 _BUS = {"bus": options_of_all(BusAddress, BusTiming)}
 _ARM = options_of_all(ModelOptions, ArmFiles)
 # Options of commands that take a trajectory, by heading in the help.
-_CHECKED = {
-    "arm": _ARM,
-    **_BUS,
-    "motion and limits": options_of_all(PlaySettings),
-    "what to allow": options_of_all(Permissions),
-}
+_CHECKED = {"arm": _ARM, **_BUS, "motion and limits": options_of_all(PlaySettings)}
 _RECORDED = {**_CHECKED, "recording": options_of_all(RecordingOptions)}
 # By default only the model limits the motion.
 _LIMITS = {"limits": LIMIT_OPTIONS}
@@ -217,7 +211,6 @@ _PLAYED = (
             **_BUS,
             **_ASKING,
             "how it is held": options_of_all(PlaySettings, only=HOLD_SETTINGS),
-            "what to allow": options_of_all(Permissions),
             "recording": options_of_all(RecordingOptions),
         },
         main=[*_HOLD_MAIN.split(), *keys_of(HoldOptions)],
