@@ -18,15 +18,15 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3451,
     "robot_sysid/commands": 10943,
-    "robot_sysid/damiao": 33100,
+    "robot_sysid/damiao": 33086,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
     "robot_sysid/logs": 25262,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8673,
-    "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 9733,
+    "robot_sysid/motion": 14885,
+    "robot_sysid/pipeline": 9718,
     "robot_sysid/records": 10688,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11013,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11132,
-    "tests": 230911,
+    "tests": 231094,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -27,7 +27,6 @@ from robot_sysid.damiao.trajectory import (
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import Remark
@@ -83,12 +82,10 @@ def transfer_checks(
 def contact_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
     """Yield a stop where bodies of the model, or the user's obstacles, touch along a trajectory.
 
-    A note names the links whose contacts cannot be found. ``problem`` has the arm of the model, its
-    geometry and obstacles.
+    Notes name what the model does not limit. ``problem`` has the arm of the model, its geometry and
+    obstacles.
     """
-    unguarded = unguarded_text(problem.unguarded)
-    if unguarded:
-        yield note(unguarded)
+    yield from map(note, problem.gaps)
     contact = first_contact(problem, FilePath(plan.trajectory))
     if contact is not None:
         time = contact.time / plan.settings.speed

@@ -14,7 +14,6 @@ import numpy as np
 
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.starts import contact_on_the_way
 from robot_sysid.records import LIMITED, Array, LimitUse, MotionPlan
 from robot_sysid.records.messages import Detail, percent, position_unit
@@ -68,7 +67,7 @@ def limit_lines(
     """Yield a line with the pair that has the least room where the motion keeps all limits, else a
     line for each limit that it breaks.
 
-    A further line names the links that no distance is known of.
+    Further lines name the links that no distance is known of, and the joints without torque limit.
     """
     closest = check.closest
     if not check.excesses:
@@ -79,9 +78,8 @@ def limit_lines(
                 f"{1e3 * closest.distance:.0f} mm apart"
             )
         yield f"Keeps all limits for {plan.duration:.1f} s{nearness}"
-    unguarded = unguarded_text(problem.unguarded)
-    if unguarded:
-        yield unguarded[0].upper() + unguarded[1:]
+    for gap in problem.gaps:
+        yield gap[0].upper() + gap[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess_text(excess)}"
 

@@ -8,7 +8,7 @@ geoms, but not from planes that are no part of a model.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -198,16 +198,6 @@ def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
         link.body_name
         for number, link in enumerate(robot.links, start=1)
         if link.has_mass and number not in guarded
-    )
-
-
-def unguarded_text(links: Sequence[str]) -> str:
-    """Return in words that nothing keeps these links from touching anything; "" for none."""
-    if not links:
-        return ""
-    return (
-        f"nothing keeps {', '.join(links)} from touching anything: the model has no collision "
-        "geometry there that can meet any other"
     )
 
 

@@ -71,13 +71,11 @@ def design_motion(
     if problem is None:
         return CheckedPlan(plan)
     from robot_sysid.motion.limit_check import check_limits
-    from robot_sysid.motion.solids import unguarded_text
 
     progress.note(*problem.notes)
-    unguarded = unguarded_text(problem.unguarded)
-    # The lines on a plan have this, and its verdict says what to do.
-    if unguarded and not isinstance(config, PlanConfig):
-        progress.note(unguarded)
+    # The lines on a plan have these, and its verdict says what to do.
+    if not isinstance(config, PlanConfig):
+        progress.note(*problem.gaps)
     return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
 
 

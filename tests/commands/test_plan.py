@@ -31,14 +31,15 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
         printed.out.index("Keeps all limits for 3.0 s") :
     ].splitlines()
     assert promise[1].startswith("Nothing keeps link0, link1, link2 from touching ")
-    assert promise[2] == "Recorded once, it determines link2 with these errors:"
-    assert promise[3].startswith("  mass ± ")
-    assert promise[4].startswith("  centre of mass ± ")
+    assert promise[2].startswith("No torque limit of joint0, joint1, joint2 is known")
+    assert promise[3] == "Recorded once, it determines link2 with these errors:"
+    assert promise[4].startswith("  mass ± ")
+    assert promise[5].startswith("  centre of mass ± ")
     assert any(line.startswith("Limits of this program ") for line in promise)
     assert "Not ready: after this motion the mass " in printed.out
     assert "Next, play it" not in printed.out
     assert (
-        len(promise) <= 16 and "Ranges, and peaks of their limits:" not in printed.out
+        len(promise) <= 17 and "Ranges, and peaks of their limits:" not in printed.out
     )
     saved = load_trajectory(OUT / "trajectory.json")
     assert isinstance(saved.plan, SineTrajectory)

@@ -46,9 +46,10 @@ def test_a_distance_that_is_not_known_is_not_called_large():
     problem = make_problem(arms.THREE)
     plan = sines(arms.THREE).scale_amplitudes(0.1)
     lines = limit_lines(problem, plan, check_limits(problem, plan))
-    first, second = lines
+    first, second, third = lines
     assert first == "Keeps all limits for 2.0 s"
     assert second.startswith("Nothing keeps link0, link1, link2 from touching anything")
+    assert third.startswith("No torque limit of joint0, joint1, joint2 is known: ")
 
 
 def test_limits_that_neither_the_model_nor_an_option_states_are_named():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs import arms
+from rigs import arms, urdf
 from rigs.arms import SEEDS, robot_of, seeded_motion
 from rigs.excitation_arms import TUBES, make_problem, robot
 from robot_sysid import spatial
@@ -19,6 +19,7 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.problem import build_problem
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Limits
 
 
@@ -48,6 +49,21 @@ def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
     assert any(
         "position limit of joint0, joint1, joint2;" in note for note in problem.notes
     )
+
+
+@pytest.mark.parametrize("effort", ['effort="0"', ""])
+def test_an_effort_of_zero_is_no_torque_limit_and_that_is_said(arm_file, effort):
+    """Neither is none at all, and an option or another source may state one."""
+    text = urdf.robot(urdf.serial({"arm": urdf.inertial(), "tip": urdf.inertial()}))
+    path = arm_file(text.replace('effort="10"', effort, 1), "arm.urdf")
+    robot = load_robot_model(path)
+    assert np.array_equal(robot.limits.torque, [np.inf, 10.0])
+    (gap,) = [
+        gap for gap in build_problem(robot, LimitOptions()).gaps if "torque" in gap
+    ]
+    assert gap.startswith("no torque limit of base_arm is known: ")
+    limited = build_problem(robot, LimitOptions(max_torque=(5.0,)))
+    assert not any("torque" in gap for gap in limited.gaps)
 
 
 def test_without_a_band_only_an_option_limits_accelerations():
