@@ -260,11 +260,34 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     assert (
         "played 26 cycles, 0 skipped; started late by 0.00 ms" in out and len(read) == 1
     )
-    # The check that is printed next records nothing.
-    assert "motors check" in out and "--overwrite" not in out
+    # The check that is printed records nothing.
+    assert "Then, with the arm connected, check" in out and "--overwrite" not in out
+    assert "--accept computed --output-dir" in out
     recording = read_recording(record)
     assert recording.ending == "completed"
     assert np.all(np.isfinite(recording.joint_values("pos")))
+    out = succeed(capsys, "simulate", trajectory, *arguments, "--speed 0.9")
+    assert "Next, with the arm connected, check" in out and "identify" not in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", ["", 'frictionloss=".3" damping=".4"'])
+def test_the_command_behind_a_rehearsal_identifies_the_simulated_arm(
+    command, arm_file, quickly, friction
+):
+    """From a motion planned for the arm, with friction and without."""
+    joint = f'armature=".05" {friction}'
+    model = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=joint))
+    plan = "--for arm --excitation sines --duration 10 --seed 0 --export-damiao"
+    motors = "--motor-type DM4340 --motor-type DM4340"
+    command.run("plan", model, plan, motors, "--output-dir plan")
+    played = "plan/damiao_trajectory.csv --model", model, "--record rehearsed.csv"
+    out = command.run("motors simulate", *played).out
+    identify = re.search("identify the simulated arm .*\n  robot-sysid (.*)", out)[1]
+    words = shlex.split(identify)
+    assert "--links" in words
+    out = command.run(*words).out
+    assert "Usable" in out and "Use this file: rehearsed/updated_model.xml" in out
 
 
 def test_a_map_names_the_joints_in_what_is_said_about_motors(

@@ -18,6 +18,7 @@ from robot_sysid.commands.motors.session import (
     play_step,
     run_checked,
     step_after_play,
+    steps_after_rehearsal,
 )
 from robot_sysid.commands.motors.setup import (
     MonitorOptions,
@@ -72,17 +73,19 @@ def play(session: Session, is_real: bool = True) -> int:
     Errors are those of ``run_checked``; InputError without --channel for real motors.
     """
     plan = session.plan()
-    checks = session.checks(plan)
     opened = session.open_guarded() if is_real else session.open_simulated(plan)
     with opened as link:
-        run_checked(session, link, plan, checks, inspect_bus(link), is_real)
+        run_checked(session, link, plan, inspect_bus(link), is_real)
     verdict = "Done: played, and all motors are disabled"
     if plan.recording.record is not None:
         verdict = (
             "Usable: played, and all motors are disabled; recorded to "
             f"{plan.recording.record}"
         )
-    session.conclude(verdict, step_after_play(session, plan, is_real))
+    if is_real:
+        session.conclude(verdict, step_after_play(session, plan))
+    else:
+        session.conclude(verdict, *steps_after_rehearsal(session, plan))
     return 0
 
 

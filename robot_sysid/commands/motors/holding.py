@@ -14,7 +14,6 @@ from robot_sysid.damiao.references import Activity, hold_reference
 from robot_sysid.damiao.settings import HoldOptions, Plan
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.pipeline.next_steps import step_after
-from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import record_from
 
 
@@ -39,9 +38,8 @@ def hold(session: Session) -> int:
         if options.floats:
             text = f"taking the stiffness away, then floating {text}"
             activity = Activity(text, floating.begin, floating.duration)
-        checks = session.checks(plan)
         try:
-            run_checked(session, link, plan, checks, inspection, is_real, activity)
+            run_checked(session, link, plan, inspection, is_real, activity)
         except HardwareAbort:
             # No error of measuring or printing may hide what happened to the motors.
             with contextlib.suppress(Exception):
@@ -54,8 +52,12 @@ def hold(session: Session) -> int:
 
 
 def _conclude(session: Session, plan: Plan, floating: Floating) -> None:
-    """Print how the joints have drifted, and set the verdict; do nothing if they did not float."""
-    scaling = Scaling(joint.spec.limits for joint in plan.trajectory.joints)
+    """Print how the joints have drifted, and set the verdict; do nothing if they did not float.
+
+    Where one drifts, the next step plans a motion from which the arm is identified.
+    """
+    joints = plan.trajectory.joints
+    scaling = Scaling(joint.spec.limits for joint in joints)
     drifts = measure_drift(floating.samples, session.robot, scaling.steps[2])
     if not drifts:
         return
@@ -64,16 +66,11 @@ def _conclude(session: Session, plan: Plan, floating: Floating) -> None:
     fastest = max(drifts, key=lambda drift: abs(drift.end_speed))
     if fastest.end_speed:
         speed = np.degrees(abs(fastest.end_speed))
+        values = {**session.values, "path": session.values["model"]}
+        words = ["--for", "arm", "--export-damiao"]
+        for joint in joints:
+            words += ["--motor-type", joint.motor_type]
         session.conclude(
             f"Done: {fastest.joint} drifts fastest, at {speed:.2f} deg/s",
-            _identification_step(session, plan),
+            step_after("self-test passed", values, *words, folder="."),
         )
-
-
-def _identification_step(session: Session, plan: Plan) -> NextStep:
-    """Return the step that plans a motion from which the arm of a plan is identified."""
-    values = {**session.values, "path": session.values["model"]}
-    words = ["--for", "arm", "--export-damiao"]
-    for joint in plan.trajectory.joints:
-        words += ["--motor-type", joint.motor_type]
-    return step_after("self-test passed", values, *words, folder=".")

@@ -5,22 +5,23 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.commands import PROGRAM, Console
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, inspect_bus
 from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, run
-from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
+from robot_sysid.damiao.joints import DamiaoJoint, matching_types
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_playable
+from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_text
 from robot_sysid.damiao.references import Activity
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import InputError
-from robot_sysid.pipeline.next_steps import step_with_motion
+from robot_sysid.pipeline.next_steps import step_after, step_with_motion
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import (
@@ -35,9 +36,12 @@ USUAL_CHANNEL = "can0"
 
 
 def ask(prompt: str) -> str:
-    """Return the line that a person types; InputError where standard input has ended."""
+    """Return the line that a person types, without blanks around it and in small letters.
+
+    InputError where standard input has ended.
+    """
     with contextlib.suppress(EOFError):
-        return input(prompt)
+        return input(prompt).strip().lower()
     raise InputError("not confirmed: standard input has ended")
 
 
@@ -47,16 +51,14 @@ _WARNING = (
 )
 
 
-def confirm() -> bool:
-    """Return whether a person agrees that the arm moves.
-
-    InputError where standard input is no terminal.
-    """
+def require_consent() -> None:
+    """Ask a person whether the arm may move; InputError where nobody agrees, or can be asked."""
     if not sys.stdin.isatty():
         raise InputError(
             "nobody can confirm: standard input is no terminal; give --yes"
         )
-    return ask(_WARNING).strip().lower() == "yes"
+    if ask(_WARNING) != "yes":
+        raise InputError("not confirmed; nothing was moved")
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Session(MotorRun):
     Attributes:
         console: as given.
         verdict: last lines of the output, which the command sets.
-        step: what to do next, as the verdict states it; None where nothing is left to do.
+        step: what to do next, the first of the verdict's steps; None where nothing is left to do.
     """
 
     def __init__(self, values: Mapping[str, Any], console: Console) -> None:
@@ -85,10 +87,10 @@ class Session(MotorRun):
         self.verdict: tuple[str, ...] = ()
         self.step: NextStep | None = None
 
-    def conclude(self, verdict: str, step: NextStep) -> None:
-        """Set the verdict: a line, and what to do next."""
-        self.step = step
-        self.verdict = (verdict, *step.lines())
+    def conclude(self, verdict: str, *steps: NextStep) -> None:
+        """Set the verdict: a line, and what to do next, one step after the other."""
+        self.step = steps[0]
+        self.verdict = (verdict, *chain.from_iterable(map(NextStep.lines, steps)))
 
     def command(self, name: str, **changes: Any) -> tuple[str, ...]:
         """Return the words of the motors command ``name`` with the options of this run.
@@ -99,21 +101,7 @@ class Session(MotorRun):
         return (PROGRAM, "motors", name, *command_arguments(values, RUN_OPTIONS))
 
 
-_HEADINGS = (
-    "id",
-    "reply",
-    "mode",
-    "PMAX",
-    "VMAX",
-    "TMAX",
-    "type",
-    "watchdog",
-    "rad",
-    "rad/s",
-    "N·m",
-    "degC",
-    "state",
-)
+_HEADINGS = "id reply mode PMAX VMAX TMAX type watchdog rad rad/s N·m degC state"
 
 
 def motor_table(
@@ -124,36 +112,34 @@ def motor_table(
     ``joints`` are those of the trajectory, with whose motor types the motors are compared.
     """
     joint_by_id = {joint.can_id: joint for joint in joints}
-    rows: list[tuple[str, ...]] = [_HEADINGS]
+    rows = [_HEADINGS.split()]
     for motor in motors:
         registers = motor.registers
-        mode = int(registers.get(protocol.Register.CTRL_MODE, 0))
         replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         if len(motor.reply_ids) != 1:
             replies += f" (x{len(motor.reply_ids)})"
-        watchdog = (
-            1e3 * protocol.TIMEOUT_UNIT * registers.get(protocol.Register.TIMEOUT, 0.0)
-        )
-        measured, heat, status = ["?"] * 3, "?", "does not tell"
-        state = motor.feedback
-        if state is not None:
-            signals = state.position, state.velocity, state.torque
-            measured = [f"{values[0]:.3f}" for values in signals]
-            heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
-            status = protocol.status_text(state.status[0])
-        rows.append(
-            (
-                str(motor.can_id),
-                replies,
-                protocol.MODES.get(mode, "?"),
-                *(f"{value or np.nan:g}" for value in motor.limits),
-                _type_name(motor.limits, joint_by_id.get(motor.can_id)),
-                f"{watchdog:g} ms",
-                *measured,
-                heat,
-                status,
-            )
-        )
+        types = matching_types(motor.limits)
+        type_name = " or ".join(types) or "unknown"
+        joint = joint_by_id.get(motor.can_id)
+        if joint is not None:
+            is_right = joint.spec.name in types
+            type_name = joint.motor_type if is_right else f"not {joint.motor_type}!"
+        state = [*"????", "does not tell"]
+        if motor.feedback is not None:
+            # Position, velocity and torque are between them.
+            values = (value[0] for value in vars(motor.feedback).values())
+            status, *signals, mos, rotor = values
+            state = [f"{signal:.3f}" for signal in signals]
+            state += [f"{mos}/{rotor}", status_text(status)]
+        row = [
+            str(motor.can_id),
+            replies,
+            MODES.get(int(registers.get(Register.CTRL_MODE, 0)), "?"),
+            *(f"{limit or np.nan:g}" for limit in motor.limits),
+            type_name,
+            f"{1e3 * TIMEOUT_UNIT * registers.get(Register.TIMEOUT, 0.0):g} ms",
+        ]
+        rows.append(row + state)
     return aligned_lines(rows)
 
 
@@ -180,7 +166,6 @@ def run_checked(
     session: Session,
     link: GuardedLink,
     plan: Plan,
-    checks: list[Remark],
     inspection: Inspection,
     is_real: bool,
     activity: Activity | None = None,
@@ -193,43 +178,30 @@ def run_checked(
         session: run of the command.
         link: link of the motors' bus.
         plan: the plan.
-        checks: those of the plan that need no bus.
         inspection: answers of the motors.
         is_real: whether the motors are real ones.
         activity: what the arm does; None plays the trajectory.
 
     Raises:
         HardwareAbort: a check forbids the run, or the run was stopped.
-        InputError: the user does not confirm, or a recording would replace a file.
+        InputError: the user does not confirm, or the recording cannot be written.
     """
     console = session.console
-    checks += session.inspection_checks(plan, inspection, real=is_real)
+    checks = session.checks(plan)
+    checks += session.inspection_checks(plan, inspection, is_real)
     table = motor_table(inspection.motors.values(), plan.trajectory.joints)
     console.stage(*table, *check_lines(checks))
     require_playable(checks)
     if is_real and not record_from(PlayChoices, session.values).yes:
-        if not confirm():
-            raise InputError("not confirmed; nothing was moved")
+        require_consent()
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
         require_playable(session.inspection_checks(plan, inspection))
     holding = session.holding(plan)
-    stop = StopRequest()
-    report = run(link, plan, inspection, stop, console.stage, holding, activity)
+    report = run(
+        link, plan, inspection, StopRequest(), console.stage, holding, activity
+    )
     console.stage(*run_lines(report))
-
-
-def _type_name(limits: tuple[float, ...], joint: DamiaoJoint | None) -> str:
-    """Return the names of the motor types with given limits, or whether a joint's type has them.
-
-    Args:
-        limits: PMAX, VMAX and TMAX of the motor [rad, rad/s, N m].
-        joint: the joint that the motor should drive, with its motor type; None where unknown.
-    """
-    if joint is None:
-        return " or ".join(matching_types(limits)) or "unknown"
-    is_same = limits_agree(joint.spec.limits, limits)
-    return joint.motor_type if is_same else f"not {joint.motor_type}!"
 
 
 def play_step(session: Session, plan: Plan) -> NextStep:
@@ -238,41 +210,58 @@ def play_step(session: Session, plan: Plan) -> NextStep:
     Options that were not given get the usual channel, a low speed and a recording beside the
     trajectory.
     """
-    defaults = {
+    options = {
         "channel": USUAL_CHANNEL,
         "speed": 0.3,
         "record": plan.trajectory.path.with_name("slow.csv"),
+        **session.values,
     }
-    missing = {k: v for k, v in defaults.items() if k not in session.values}
     sentence = "Next, play it slowly"
-    if "channel" in missing:
+    if "channel" not in session.values:
         sentence += f", on the arm at {USUAL_CHANNEL} (change --channel for another)"
-    return NextStep(sentence, session.command("play", **missing))
+    return NextStep(sentence, session.command("play", **options))
 
 
-def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
-    """Return the step after a trajectory was played: check motors, play again, or identify."""
-    if not is_real:
-        channel = session.values.get("channel", USUAL_CHANNEL)
-        command = session.command(
-            "check", speed=None, record=None, overwrite=None, channel=channel
-        )
-        return NextStep("Next, with the arm connected, check its motors", command)
+def step_after_play(session: Session, plan: Plan) -> NextStep:
+    """Return the step after a trajectory was played on motors: play it again, or identify."""
     folder = plan.trajectory.path.parent
     planned = plan_settings(folder)
     purpose = planned.get("for_", "")
-    record = plan.recording.record or folder / "measured.csv"
-    is_slow = plan.recording.record is None or plan.settings.speed < 1.0
+    record = plan.recording.record
+    is_slow = record is None or plan.settings.speed < 1.0
+    log = record or folder / "measured.csv"
     if is_slow and purpose != "payload":
+        command = session.command("play", speed=None, record=folder / "measured.csv")
         sentence = "Next, play it at full speed and record it, to identify from"
-        record = folder / "measured.csv"
-        return NextStep(sentence, session.command("play", speed=None, record=record))
+        return NextStep(sentence, command)
     model = session.values.get("model")
     values = {**session.values, "path": model} if model else planned
-    return step_with_motion(
-        "motion recorded",
-        purpose,
-        {"path": "arm.xml", **values},
-        record.parent if planned else record.with_suffix(""),
-        record,
-    )
+    results = log.parent if planned else log.with_suffix("")
+    values = {"path": "arm.xml", **values}
+    return step_with_motion("motion recorded", purpose, values, results, log)
+
+
+def steps_after_rehearsal(session: Session, plan: Plan) -> list[NextStep]:
+    """Return the steps after a trajectory was played on a simulated arm.
+
+    The arm is identified from a recording at full speed, and then real motors are checked. The
+    torque of a simulated arm is computed, which has to be accepted where it has no friction.
+    """
+    steps = []
+    record = plan.recording.record
+    if record is not None and plan.settings.speed >= 1.0:
+        values = {**session.values, "path": session.values["model"]}
+        words = ["--accept", "computed"]
+        if plan_settings(plan.trajectory.path.parent).get("for_") == "arm":
+            words.append("--links")
+        folder = record.with_suffix("")
+        step = step_after("motion recorded", values, *words, log=record, folder=folder)
+        sentence = (
+            "Next, identify the simulated arm from it, to see what the motion tells"
+        )
+        steps.append(replace(step, sentence=sentence))
+    unrecorded = {"speed": None, "record": None, "overwrite": None}
+    options = {"channel": USUAL_CHANNEL, **session.values, **unrecorded}
+    sentence = "Then" if steps else "Next"
+    sentence += ", with the arm connected, check its motors"
+    return [*steps, NextStep(sentence, session.command("check", **options))]
