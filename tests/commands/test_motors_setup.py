@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+
 import pytest
 
 from rigs.command_line import fail, succeed
@@ -51,12 +54,16 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
 
 
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
-    succeed(capsys, SETUP, "--motor 1 --watchdog 0.2")
-    assert (
-        bus.motors[0].registers[Register.TIMEOUT] == 4000.0
-        and bus.motors[0].stored == {}
-    )
+    out = succeed(capsys, SETUP, "--motor 1 --watchdog 0.2 --new-id 3")
+    motor = bus.motors[0]
+    assert motor.registers[Register.TIMEOUT] == 4000.0 and motor.stored == {}
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
+    assert "Done: motor 1 is changed, and forgets it when its power goes off\n" in out
+    # The command that is printed stores them, under the new id.
+    program, *words = shlex.split(re.search("  (robot-sysid motors setup .*)", out)[1])
+    out = succeed(capsys, *words[1:])
+    assert motor.stored == motor.registers and motor.stored[Register.ESC_ID] == 3.0
+    assert "forgets" not in out and "motors check" in out
 
 
 @pytest.mark.parametrize("change", ["--mit", "--clear-error", "--store", "--new-id 3"])
@@ -72,7 +79,7 @@ def test_an_enabled_motor_is_never_changed(capsys, bus, change):
 def test_an_error_is_cleared_by_name(capsys, bus):
     bus.motors[1].status = 0xA
     out = succeed(capsys, SETUP, "--motor 2 --clear-error")
-    assert "status A: over-current is now status 0" in out
+    assert "status A: over-current is now status 0" in out and "forgets" not in out
     assert bus.motors[1].status == DISABLED
 
 
@@ -112,27 +119,42 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     assert only_asks(bus.wire.sent)
 
 
-def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, model):
-    """The first joint has motor 2, mirrored; the second one motor 1."""
+@pytest.fixture
+def turned(bus):
+    """Factory: what a person does who turns motor ``j``, and then says which way it went."""
+
+    def turning(j, angle, answer="yes"):
+        def turn():
+            bus.arm.mechanism.q[j] += angle
+            return answer
+
+        return turn
+
+    return turning
+
+
+@pytest.mark.parametrize("answer", ["yes", "opposite"])
+def test_a_map_is_made_by_hand(capsys, bus, person, turned, tmp_path, model, answer):
+    """The first joint has motor 2, mirrored; the second one motor 1. Each joint is turned in its
+    positive direction, or, at an end of its range, the opposite way.
+    """
     waiting, prompts = person
     output = tmp_path / "map.csv"
-    q = bus.arm.mechanism.q
-
-    def turn(j, angle):
-        def move():
-            q[j] += angle
-
-        return move
+    side = {"yes": 1, "opposite": -1}[answer]
 
     def home():
-        q[:] = [0.3, -0.1]
+        bus.arm.mechanism.q[:] = [0.3, -0.1]
 
-    waiting += [turn(1, 0.05), turn(1, -0.5), turn(0, 0.4), home]
+    waiting += [
+        turned(1, 0.05),
+        turned(1, -0.5 * side, answer),
+        turned(0, 0.4, "what?"),
+    ]
+    waiting += [turned(0, 0.4 * side, answer), home]
     succeed(capsys, MAP, model, "--output", output)
-    assert (
-        "move joint joint0 alone" in prompts[0]
-        and "no motor, or several, turned clearly" in prompts[1]
-    )
+    assert "move joint joint0 alone" in prompts[0]
+    assert "no motor, or several, turned clearly" in prompts[1]
+    assert "it was not said which way it moved; move joint joint1 alone" in prompts[3]
     first, second = read_joint_map(output)
     assert (first.name, first.can_id, first.direction) == ("joint0", 2, -1)
     assert first.master_id == 18
@@ -148,11 +170,23 @@ def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, model):
 
     def both():
         bus.arm.mechanism.q += 0.5
+        return "yes"
 
     waiting += [both] * 3
     err = fail(capsys, 3, MAP, model, "--output", output)
     assert "cannot be told which motor drives joint0" in err
     assert not output.exists()
+
+
+def test_nobody_moves_an_arm_for_a_map_that_cannot_be_written(
+    capsys, bus, person, tmp_path, model
+):
+    for output, fault in {
+        model: f"{model} exists; choose another --output",
+        model / "map.csv": "is not a folder that may be written to",
+    }.items():
+        assert fault in fail(capsys, 2, MAP, model, "--output", output)
+    assert person[1] == [] and bus.wire.frames == []
 
 
 def test_the_model_says_which_way_is_positive(model):

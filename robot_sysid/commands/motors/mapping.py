@@ -1,7 +1,8 @@
 """``robot-sysid motors map``: each joint's motor, direction and zero.
 
-The arm is limp. A person moves one joint after the other in the model's positive direction; the
-motor that turned drives it. Then the arm is put into a pose that the model has.
+The arm is limp. A person moves one joint after the other in the model's positive direction, or says
+that it moved the opposite way; the motor that turned drives it. Then the arm is put into a pose
+that the model has.
 """
 
 from __future__ import annotations
@@ -18,14 +19,12 @@ from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
 from robot_sysid.damiao.joints import BY_HAND, DamiaoJoint, write_joint_map
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
-from robot_sysid.records.file_access import DAMIAO_NAME
+from robot_sysid.records.file_access import DAMIAO_NAME, require_writable
 from robot_sysid.records.messages import NextStep, count_text
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 Positions = Mapping[int, float]
 """Position of each motor [rad], by its CAN id."""
-# End of a request to a person.
-_ENTER = "; then press Enter: "
 # Names of the negative and the positive direction of each axis of the world.
 _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 
@@ -69,12 +68,14 @@ def movement_texts(robot: RobotModel) -> list[str]:
 def map_joints(session: Session) -> int:
     """Write the joint map that a person shows by moving the limp arm; return the exit code 0.
 
-    InputError where the map's file exists already; other errors are those of ``map_by_hand``.
+    InputError where the map's file exists already or cannot be written, before the arm is moved;
+    other errors are those of ``map_by_hand``.
     """
     options = record_from(MapOptions, session.values)
     robot = session.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
+    require_writable(options.output.parent)
     with session.open_guarded(protocol.is_motion) as link:
         rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
@@ -127,19 +128,19 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
 
     directions: dict[int, int] = {}
     for name, movement in zip(robot.joint_names, movement_texts(robot)):
-        remaining = set(motors) - set(directions)
+        remaining = motors.keys() - directions
         can_id, direction = _find_motor(name, movement, remaining, read_positions)
         directions[can_id] = direction
-    pose = zip(robot.joint_names, robot.reference)
+    pose = list(zip(robot.joint_names, robot.reference))
     pose_text = ", ".join(f"{name} {q:.3f}" for name, q in pose)
     ask(
-        f"put the arm into the model's own pose ({pose_text} rad or m) and hold it there{_ENTER}"
+        f"put the arm into the model's own pose ({pose_text} rad or m) and hold it there; then "
+        "press Enter: "
     )
     positions = read_positions()
     rows = []
     # ``directions`` has the motors' CAN ids in the order of the joints.
-    for name, q, can_id in zip(robot.joint_names, robot.reference, directions):
-        direction = directions[can_id]
+    for (name, q), (can_id, direction) in zip(pose, directions.items()):
         offset = round(positions[can_id] - direction * q, 4)
         master_id = motors[can_id].master_id
         rows.append(
@@ -156,7 +157,8 @@ def _find_motor(
 ) -> tuple[int, int]:
     """Have a person move a joint; return the CAN id of the motor that turned, and its direction.
 
-    The direction is 1 where the motor's position grew, else -1.
+    The direction is 1 where the motor's position grows with the joint's, else -1. The person says
+    which way the joint went: at an end of its range it goes one way only.
 
     Args:
         name: name of the joint.
@@ -165,23 +167,28 @@ def _find_motor(
         read_positions: returns the present positions of all motors [rad].
 
     Raises:
-        HardwareAbort: in three attempts no single motor turned clearly.
+        HardwareAbort: in three attempts no single motor turned clearly, or it was not said which
+            way.
     """
+    senses = {"yes": 1, "opposite": -1}
     complaint = ""
     for _ in range(3):
         start = read_positions()
-        ask(
-            f"{complaint}move joint {name} alone, by 20 degrees or more, so that {movement}{_ENTER}"
+        answer = ask(
+            f"{complaint}move joint {name} alone, by 20 degrees or more, so that {movement}, or "
+            "the opposite way where it cannot go there; then type yes if it moved so, opposite if "
+            "it moved the opposite way: "
         )
         end = read_positions()
         turns = {can_id: end[can_id] - start[can_id] for can_id in can_ids}
-        *others, _ = sorted(map(abs, turns.values()))
+        *others, (size, can_id) = sorted((abs(turns[i]), i) for i in turns)
         # Half of the 20 degrees asked for, and thrice what a limp arm drags along (judgements).
-        least_turn = max(0.15, 3.0 * max(others, default=0.0))
-        for can_id, turn in turns.items():
-            if abs(turn) > least_turn:
-                return can_id, 1 if turn > 0.0 else -1
-        complaint = "no motor, or several, turned clearly; "
+        if size <= max([0.15, *(3.0 * dragged for dragged, _ in others)]):
+            complaint = "no motor, or several, turned clearly; "
+        elif answer in senses:
+            return can_id, senses[answer] * (1 if turns[can_id] > 0.0 else -1)
+        else:
+            complaint = "it was not said which way it moved; "
     raise HardwareAbort(
         f"it cannot be told which motor drives {name}; nothing was written"
     )

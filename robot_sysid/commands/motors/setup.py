@@ -72,101 +72,10 @@ class MonitorOptions(OptionRecord):
     interval: float = option(1.0, "time between two looks", "S [s] > 0", flag="--every")
 
 
-class MotorSetup:
-    """Changes registers and error of one motor, which has to be disabled.
-
-    Args:
-        link: link of the motor's bus that lets configuration frames pass.
-        motor: the motor, as inspected.
-    """
-
-    def __init__(self, link: GuardedLink, motor: InspectedMotor) -> None:
-        self._link = link
-        self._client = RegisterClient(link)
-        self._name = motor.name
-        # Present ids of the motor.
-        self._can_id = motor.can_id
-        self._master_id = motor.master_id
-
-    def apply(self, options: SetupOptions) -> Iterator[str]:
-        """Make the changes, in an order in which the motor stays reachable; yield a line for each.
-
-        HardwareAbort where the motor refuses, does not answer any more, or is enabled.
-        """
-        self._require_disabled()
-        if options.clear_error:
-            yield self._clear_error()
-        ticks = None
-        if options.watchdog is not None:
-            ticks = round(options.watchdog / TIMEOUT_UNIT)
-        values: dict[int, float | None] = {
-            Register.CTRL_MODE: MIT_MODE if options.mit else None,
-            Register.TIMEOUT: ticks,
-            Register.MST_ID: options.new_master_id,
-            Register.ESC_ID: options.new_id,
-        }
-        for register, value in values.items():
-            if value is not None:
-                yield self._write_register(register, value)
-        if options.store:
-            self._require_disabled()
-            self._link.send(register_frame(STORE, self._can_id, register=1))
-            # Longer than a motor takes to write its flash memory (a judgement).
-            self._link.clock.sleep_until(self._link.clock.now() + 0.05)
-            yield f"{self._name} keeps its values when the power goes off"
-
-    def _write_register(self, register: int, value: float) -> str:
-        """Write a value to a register by its number; return a line with the old and new value.
-
-        HardwareAbort where the motor is enabled, or refuses the value.
-        """
-        self._require_disabled()
-        old = self._client.read(self._can_id, register)
-        self._client.write(self._can_id, register, value)
-        if register == Register.ESC_ID:
-            self._can_id = int(value)
-        if register == Register.MST_ID:
-            self._master_id = int(value)
-        old_text = "unknown" if old is None else register_text(register, old)
-        return f"{self._name}: {old_text} is now {register_text(register, value)}"
-
-    def _clear_error(self) -> str:
-        """Clear the motor's error and return a line with its old and its new status.
-
-        HardwareAbort where the motor still reports an error.
-        """
-        text = status_text(self._status())
-        self._link.send(special_frame(CLEAR_ERROR, self._can_id))
-        status = self._status()
-        new_text = status_text(status)
-        if is_fault(status):
-            raise HardwareAbort(f"{self._name} still reports {new_text}")
-        return f"{self._name}: {text} is now {new_text}"
-
-    def _require_disabled(self) -> None:
-        """Raise HardwareAbort where the motor is enabled."""
-        if self._status() == ENABLED:
-            raise HardwareAbort(
-                f"{self._name} is enabled; end the program that uses it, nothing was changed"
-            )
-
-    def _status(self) -> int:
-        """Return the motor's present status code; HardwareAbort where no answer comes.
-
-        It is the upper half of the first byte of a feedback frame.
-        """
-        frame = self._client.refresh(self._can_id, self._master_id)
-        if frame is None:
-            raise HardwareAbort(
-                f"{self._name} does not tell its state; nothing more is done"
-            )
-        return frame.data[0] >> 4
-
-
 def setup(session: Session) -> int:
     """List the motors on a bus, change one of them if the options say so; return the exit code.
 
-    It is 1 where there is no motor, else 0. Errors are those of ``MotorSetup`` and
+    It is 1 where there is no motor, else 0. Errors are those of ``change_motor`` and
     ``_motor_to_change``, and InputError for a change without --motor.
     """
     options = record_from(SetupOptions, session.values)
@@ -178,18 +87,91 @@ def setup(session: Session) -> int:
         session.console.stage(*motor_table(inspection.motors.values()))
         if changes:
             motor = _motor_to_change(inspection, options)
-            for line in MotorSetup(link, motor).apply(options):
+            for line in change_motor(link, motor, options):
                 session.console.stage(line)
     if not inspection.motors:
         session.verdict = _SILENT
         return 1
     done = f"motors that answer: {len(inspection.motors)}"
+    steps = []
     if changes:
         done = f"motor {options.motor} is changed"
+    if changes - {"clear_error"} and not options.store:
+        done += ", and forgets it when its power goes off"
+        store = "--motor", str(options.new_id or options.motor), "--store"
+        sentence = "Next, let it keep the changes"
+        steps.append(NextStep(sentence, (*session.command("setup"), *store)))
     command = session.command("check", trajectory=DAMIAO_NAME)
-    step = NextStep("Next, check the motors for a trajectory", command)
-    session.conclude(f"Done: {done}", step)
+    sentence = f"{'Then' if steps else 'Next'}, check the motors for a trajectory"
+    session.conclude(f"Done: {done}", *steps, NextStep(sentence, command))
     return 0
+
+
+def change_motor(
+    link: GuardedLink, motor: InspectedMotor, options: SetupOptions
+) -> Iterator[str]:
+    """Change registers and error of a motor, so that it stays reachable; yield a line for each.
+
+    Args:
+        link: link of the motor's bus that lets configuration frames pass.
+        motor: the motor, as inspected.
+        options: what to change.
+
+    Raises:
+        HardwareAbort: the motor refuses, does not answer any more, or is enabled.
+        InputError: a value does not fit into its register.
+    """
+    client = RegisterClient(link)
+    ids = {Register.MST_ID: motor.master_id, Register.ESC_ID: motor.can_id}
+
+    def require_disabled() -> int:
+        """Return the status code, which is the upper half of the first byte of feedback."""
+        frame = client.refresh(ids[Register.ESC_ID], ids[Register.MST_ID])
+        if frame is None:
+            raise HardwareAbort(
+                f"{motor.name} does not tell its state; nothing more is done"
+            )
+        status = frame.data[0] >> 4
+        if status == ENABLED:
+            raise HardwareAbort(
+                f"{motor.name} is enabled; end the program that uses it, nothing was changed"
+            )
+        return status
+
+    status = require_disabled()
+    if options.clear_error:
+        link.send(special_frame(CLEAR_ERROR, motor.can_id))
+        text = status_text(status)
+        status = require_disabled()
+        if is_fault(status):
+            raise HardwareAbort(f"{motor.name} still reports {status_text(status)}")
+        yield f"{motor.name}: {text} is now {status_text(status)}"
+    ticks = None
+    if options.watchdog is not None:
+        ticks = round(options.watchdog / TIMEOUT_UNIT)
+    values = {
+        Register.CTRL_MODE: MIT_MODE if options.mit else None,
+        Register.TIMEOUT: ticks,
+        Register.MST_ID: options.new_master_id,
+        Register.ESC_ID: options.new_id,
+    }
+    for register, value in values.items():
+        if value is None:
+            continue
+        require_disabled()
+        can_id = ids[Register.ESC_ID]
+        old = client.read(can_id, register)
+        client.write(can_id, register, value)
+        if register in ids:
+            ids[register] = value
+        old_text = "unknown" if old is None else register_text(register, old)
+        yield f"{motor.name}: {old_text} is now {register_text(register, value)}"
+    if options.store:
+        require_disabled()
+        link.send(register_frame(STORE, ids[Register.ESC_ID], register=1))
+        # Longer than a motor takes to write its flash memory (a judgement).
+        link.clock.sleep_until(link.clock.now() + 0.05)
+        yield f"{motor.name} keeps its values when the power goes off"
 
 
 def _motor_to_change(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
@@ -208,13 +190,11 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
         )
     ids = motor.can_id, motor.master_id
     new_master = options.new_master_id
-    if new_master is None:
-        new_master = motor.master_id
-    new_ids = options.new_id or motor.can_id, new_master
+    new_ids = options.new_id or ids[0], ids[1] if new_master is None else new_master
     # Alone, and beside each other motor: ids that clash already may be put right one by one.
     beside = [[(m.can_id, m.master_id)] for m in motors.values() if m is not motor]
     for other in ([], *beside):
-        old_problems = set(id_problems([ids, *other]))
+        old_problems = [*id_problems([ids, *other])]
         for problem in id_problems([new_ids, *other]):
             if problem not in old_problems:
                 raise InputError(f"nothing was changed: {problem}")
