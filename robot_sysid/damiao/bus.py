@@ -176,9 +176,8 @@ class RegisterClient:
 
     def read(self, can_id: int, register: int) -> float | None:
         """Return the value of a motor's register; None if three requests get no answer."""
-        request = register_frame(READ, can_id, register)
-        replies = self.answers(request, limit=1)
-        return replies[0][0] if replies else None
+        answers = self.answers(register_frame(READ, can_id, register))
+        return next((value for value, _ in answers), None)
 
     def write(self, can_id: int, register: int, value: float) -> None:
         """Write a value to a motor's register; it is lost at power-off unless stored.
@@ -188,31 +187,26 @@ class RegisterClient:
             HardwareAbort: the motor did not answer, or refused the value.
         """
         raw = bytes_from_value(register, value)
-
-        request = register_frame(WRITE, can_id, register, raw)
-        replies = self.answers(request, limit=1)
-        if not replies:
+        name = Register(register).name
+        for stored, _ in self.answers(register_frame(WRITE, can_id, register, raw)):
+            if bytes_from_value(register, stored) == raw:
+                return
             raise HardwareAbort(
-                f"motor {can_id} did not answer to writing {Register(register).name}"
+                f"motor {can_id} refused {name} = {value:g} and keeps {stored:g}"
             )
-        stored, _ = replies[0]
-        if bytes_from_value(register, stored) != raw:
-            raise HardwareAbort(
-                f"motor {can_id} refused {Register(register).name} = {value:g} and keeps {stored:g}"
-            )
+        raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
 
     def refresh(self, can_id: int, master_id: int) -> CanFrame | None:
         """Request a motor's feedback frame, up to three times, and return it; None without answer.
 
         ``master_id`` is the arbitration id of the motor's replies. The request has no other effect.
         """
-
-        def is_feedback(frame: CanFrame) -> bool:
-            """Tell whether a frame has the low four bits of the CAN id in its first byte."""
-            return frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF
-
-        frames = self._ask(register_frame(REFRESH, can_id), is_feedback, limit=1)
-        return frames[0] if frames else None
+        # Feedback has the low four bits of the CAN id in its first byte.
+        answers = self._answers(
+            register_frame(REFRESH, can_id),
+            lambda frame: frame.id == master_id and (frame.data[0] ^ can_id) & 0xF == 0,
+        )
+        return next(answers, None)
 
     def state_of(self, motor: InspectedMotor) -> Feedback | None:
         """Request a motor's state, fields (1,), and return it; None without answer.
@@ -246,51 +240,36 @@ class RegisterClient:
                 missing.discard(frame.id)
         return self.link.clock.now() - start
 
-    def answers(
-        self, request: CanFrame, limit: int | None = None
-    ) -> list[tuple[float, int]]:
-        """Return value and arbitration id of each reply to a register request.
-
-        Motors that share an id send several; ``limit`` is as in ``_ask``.
-        """
+    def answers(self, request: CanFrame) -> Iterator[tuple[float, int]]:
+        """Yield value and arbitration id of each reply to a register request, as ``_answers``."""
         # Requests and replies have the CAN id (two bytes), operation, register and value (four).
         # Most firmware answers a write with 0x55 (WRITE), some with 0x33 (READ).
-        can_id = request.data[:2]
-        register = request.data[3]
-        heads = [can_id + bytes([kind, register]) for kind in (READ, request.data[2])]
-        frames = self._ask(request, lambda frame: frame.data[:4] in heads, limit)
-        return [(value_from_bytes(register, f.data[4:8]), f.id) for f in frames]
+        data = request.data
+        heads = [data[:2] + bytes([kind, data[3]]) for kind in (READ, data[2])]
+        for frame in self._answers(request, lambda frame: frame.data[:4] in heads):
+            yield value_from_bytes(data[3], frame.data[4:8]), frame.id
 
-    def _ask(
-        self,
-        request: CanFrame,
-        is_answer: Callable[[CanFrame], bool],
-        limit: int | None,
-    ) -> list[CanFrame]:
-        """Send a request and return the 8-byte frames that answer it.
+    def _answers(
+        self, request: CanFrame, is_answer: Callable[[CanFrame], bool]
+    ) -> Iterator[CanFrame]:
+        """Send a request and yield the 8-byte frames that answer it, as long as the caller asks.
 
-        Frames that have come earlier are discarded, and so are echoes of this program's own frames.
-        Without any answer the request is sent again, up to three times in all, as a frame may be
-        lost where another program just used the bus; then the list is empty.
-
-        Args:
-            request: frame to send.
-            is_answer: tells whether a frame is an answer.
-            limit: number of answers after which no more are waited for; None waits until the
-                timeout.
+        Motors that share an id send several. Frames that have come earlier are discarded, and so
+        are echoes of this program's own frames. Without any answer the request is sent again, up to
+        three times in all, as a frame may be lost where another program just used the bus.
         """
-        answers: list[CanFrame] = []
         for _ in range(3):
             self.link.drain()
             self.link.send(request)
             # Twice the delay of a slow adapter (16 ms).
             until = self.link.clock.now() + 0.03
-            while len(answers) != limit and (frame := self.link.receive(until)):
+            is_answered = False
+            while frame := self.link.receive(until):
                 if not frame.echo and len(frame.data) == 8 and is_answer(frame):
-                    answers.append(frame)
-            if answers:
-                break
-        return answers
+                    is_answered = True
+                    yield frame
+            if is_answered:
+                return
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,32 +340,20 @@ def inspect_bus(link: GuardedLink) -> Inspection:
     motors = {}
     # Feedback has four bits for them.
     for can_id in range(1, 16):
-        motor = _inspect_motor(client, can_id)
-        if motor is not None:
-            motors[can_id] = motor
+        answers = client.answers(register_frame(READ, can_id, Register.ESC_ID))
+        reply_ids = tuple(reply_id for _, reply_id in answers)
+        if reply_ids:
+            values = [(number, client.read(can_id, number)) for number in Register]
+            registers = {int(k): value for k, value in values if value is not None}
+            motor = InspectedMotor(can_id, reply_ids, registers, feedback=None)
+            motors[can_id] = replace(motor, feedback=client.state_of(motor))
     round_trip = None
     if all(motor.feedback for motor in motors.values()):
         # Measured under the conditions of a run, for which the time matters.
-        reply_ids = {can_id: motor.reply_ids[0] for can_id, motor in motors.items()}
+        first_ids = {can_id: motor.reply_ids[0] for can_id, motor in motors.items()}
         with undisturbed_processor(live=link.clock.live):
-            attempts = [client.seconds_to_refresh(reply_ids) for _ in range(20)]
+            attempts = [client.seconds_to_refresh(first_ids) for _ in range(20)]
         times = [seconds for seconds in attempts if seconds is not None]
         if len(times) > len(attempts) // 2:
             round_trip = np.percentile(times, 90.0)
     return Inspection(motors, unsolicited, round_trip)
-
-
-def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None:
-    """Return registers and state of the motor with a CAN id; None where nothing answers."""
-    answers = client.answers(register_frame(READ, can_id, Register.ESC_ID))
-
-    if not answers:
-        return None
-    registers: dict[int, float] = {}
-    for number in Register:
-        value = client.read(can_id, number)
-        if value is not None:
-            registers[number] = value
-    reply_ids = tuple(reply_id for _, reply_id in answers)
-    motor = InspectedMotor(can_id, reply_ids, registers, feedback=None)
-    return replace(motor, feedback=client.state_of(motor))

@@ -17,7 +17,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from robot_sysid.records.option_fields import OptionRecord, option
 Bytes = NDArray[np.uint8]
 """Frames as an array (..., n, 8)."""
 Codes = NDArray[np.int64]
-"""Unsigned integers of the bit fields of frames."""
+"""Status codes or temperatures of motors."""
 
 KP_MAX = 500.0
 """The greatest stiffness that a command frame can carry [N m/rad]."""
@@ -37,44 +37,48 @@ KD_MAX = 5.0
 """The greatest damping that a command frame can carry [N m s/rad]."""
 KD_STEP = KD_MAX / 0xFFF
 """The least damping above zero that a command frame can carry [N m s/rad]."""
-# Indices of position, velocity and torque among the five fields of a command.
-_MEASURED = [0, 1, 4]
 
 
-class _Layout:
-    """Layout of a 64-bit frame with F bit fields, the most significant first.
+class _Codec:
+    """Converts F quantities to the bit fields of 64-bit frames, most significant first, and back.
 
     Args:
         bits: number of bits of each field; their sum is 64.
+        low: least value (n, F) of each motor's quantities.
+        high: greatest value (n, F).
 
     Attributes:
-        max_codes: the largest integer (F,) that each field can hold.
+        steps: one quantisation step (n, F) of each quantity.
     """
 
-    def __init__(self, *bits: int) -> None:
-        self.max_codes = (1 << np.array(bits)) - 1
+    def __init__(self, bits: tuple[int, ...], low: Array, high: Array) -> None:
+        self._low = low
+        self._max_codes = (1 << np.array(bits)) - 1
         self._shifts = 64 - np.cumsum(bits)
+        self._codes_per_unit = self._max_codes / (high - low)
+        self.steps = (high - low) / self._max_codes
 
-    def pack(self, fields: Codes) -> Bytes:
-        """Return frames (..., n, 8) that hold the lowest bits of integer fields (..., n, F)."""
-        shifted = (fields & self.max_codes) << self._shifts
-        integers = np.bitwise_or.reduce(shifted, axis=-1)
+    def encode(self, values: Array, rounding: float) -> Bytes:
+        """Return frames (..., n, 8) of quantities (..., n, F), limited to their ranges.
+
+        ``rounding`` is 0.5 for the nearest code, 0 for the one below.
+        """
+        scaled = (values - self._low) * self._codes_per_unit
+        # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
+        codes = np.clip(np.floor(scaled + rounding), 0, self._max_codes)
+        fields = codes.astype(np.int64) << self._shifts
+        integers = np.bitwise_or.reduce(fields, axis=-1)
         return integers.astype(">i8")[..., None].view(np.uint8)
 
-    def unpack(self, frames: Bytes) -> Codes:
-        """Return the integer fields (..., n, F) of frames (..., n, 8)."""
+    def decode(self, frames: Bytes, fraction: Array | float = 0.0) -> Array:
+        """Return the quantities (F, ..., n) in frames (..., n, 8), plus a fraction of a step."""
         big_endian = np.ascontiguousarray(frames, dtype=np.uint8).view(">i8")
-        return (big_endian.astype(np.int64) >> self._shifts) & self.max_codes
-
-
-# Layout of a command: position, velocity, kp, kd, torque.
-_COMMAND = _Layout(16, 12, 12, 12, 12)
-# Layout of feedback: status, CAN id, position, velocity, torque, two temperatures.
-_FEEDBACK = _Layout(4, 4, 16, 12, 12, 8, 8)
+        codes = (big_endian.astype(np.int64) >> self._shifts) & self._max_codes
+        return np.moveaxis((codes + fraction) * self.steps + self._low, -1, 0)
 
 
 class Scaling:
-    """Ranges of the quantities in the frames of n motors, which convert integers and numbers.
+    """Ranges of the quantities in the frames of n motors.
 
     Args:
         limits: PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor; InputError unless all are
@@ -82,61 +86,30 @@ class Scaling:
 
     Attributes:
         limits: the limits as an array (n, 3) [rad, rad/s, N m].
+        low, high: range (n, 5) of position, velocity, kp, kd and torque in commands.
+        command: codec of these five.
+        feedback: codec of status, CAN id, position, velocity, torque and two temperatures.
     """
 
     def __init__(self, limits: Iterable[Sequence[float]]) -> None:
         self.limits: Array = np.array(list(limits), dtype=float).reshape(-1, 3)
-        for name, column in zip(("position", "velocity", "torque"), self.limits.T):
-            if not np.all(np.isfinite(column) & (column > 0.0)):
-                raise InputError(
-                    f"{name} scaling must be positive numbers, got {column.tolist()}"
-                )
-        # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
-        self._high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
+        if not np.all(np.isfinite(self.limits) & (self.limits > 0.0)):
+            raise InputError(
+                f"PMAX, VMAX and TMAX must be positive, got {self.limits.tolist()}"
+            )
+        self.high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
         # Stiffness and damping begin at zero.
-        self._low = self._high * (-1.0, -1.0, 0.0, 0.0, -1.0)
-        # One quantisation step (n, 5) of each field.
-        self._steps = (self._high - self._low) / _COMMAND.max_codes
+        self.low = self.high * (-1.0, -1.0, 0.0, 0.0, -1.0)
+        self.command = _Codec((16, 12, 12, 12, 12), self.low, self.high)
+        # Status, id and temperatures are their own codes.
+        low = np.insert(-self.limits, [0, 0, 3, 3], 0.0, axis=1)
+        high = np.insert(self.limits, [0, 0, 3, 3], (15.0, 15.0, 255.0, 255.0), axis=1)
+        self.feedback = _Codec((4, 4, 16, 12, 12, 8, 8), low, high)
 
     @property
     def steps(self) -> tuple[Array, ...]:
         """Quantisation steps of position [rad], velocity [rad/s] and torque [N m], (n,) each."""
-        return tuple(self._steps.T[_MEASURED])
-
-    def _codes(
-        self, values: Array, fields: Any = slice(None), rounding: float = 0.5
-    ) -> Codes:
-        """Return the integers (..., n, F) of quantities (..., n, F), in a range its ends.
-
-        ``fields`` selects the F fields among the five of a command; by default all. ``rounding`` is
-        0.5 for the nearest integer, 0 for the one below.
-        """
-        codes_per_unit = _COMMAND.max_codes / (self._high - self._low)
-        scaled = (values - self._low[:, fields]) * codes_per_unit[:, fields]
-        # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
-        codes = np.floor(scaled + rounding)
-        return np.clip(codes, 0, _COMMAND.max_codes[fields]).astype(np.int64)
-
-    def _values(self, codes: Any, fields: Any = slice(None)) -> Array:
-        """Return the quantities (F, ..., n) that codes (..., n, F), which may be fractional, mean.
-
-        ``fields`` selects the F fields among the five of a command; by default all.
-        """
-        quantities = codes * self._steps[:, fields] + self._low[:, fields]
-        return np.moveaxis(quantities, -1, 0)
-
-    def _require_inside(self, values: Array) -> None:
-        """Raise InputError for the first command value (..., n, 5) outside its range."""
-        # A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of
-        # 12.566 must still be accepted.
-        slack = 1e-6 * self._high
-        # Written so that a NaN counts as outside.
-        inside = (values >= self._low - slack) & (values <= self._high + slack)
-        for *_, motor, field in np.argwhere(~inside)[:1]:
-            raise InputError(
-                f"{MitCommand._fields[field]} {values[~inside][0]:g} of motor number {motor + 1} "
-                f"is outside its range, limit {self._high[motor, field]:g}"
-            )
+        return tuple(self.feedback.steps.T[2:5])
 
 
 class MitCommand(NamedTuple):
@@ -199,11 +172,18 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
     values = np.stack(np.broadcast_arrays(*command), axis=-1)
-    scaling._require_inside(values)
-    codes = scaling._codes(values)
-    frames = _COMMAND.pack(codes)
-    # The third and the fourth field of a command are kp and kd.
-    is_unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
+    # A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of
+    # 12.566 must still be accepted.
+    slack = 1e-6 * scaling.high
+    # Written so that a NaN counts as outside.
+    inside = (values >= scaling.low - slack) & (values <= scaling.high + slack)
+    for *_, motor, field in np.argwhere(~inside)[:1]:
+        raise InputError(
+            f"{MitCommand._fields[field]} {values[~inside][0]:g} of motor number {motor + 1} "
+            f"is outside its range, limit {scaling.high[motor, field]:g}"
+        )
+    frames = scaling.command.encode(values, rounding=0.5)
+    is_unstable = (command.kp > 0.0) & (command.kd < 0.5 * KD_STEP)
     is_special_frame = np.all(frames[..., :7] == 0xFF, axis=-1)
     for mask, text in (
         (is_unstable, f"has kp > 0, which needs kd of at least {KD_STEP:.2g}"),
@@ -216,7 +196,7 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
 
 def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
     """Return the command, fields (..., n), that n motors read from MIT frames (..., n, 8)."""
-    return MitCommand(*scaling._values(_COMMAND.unpack(frames)))
+    return MitCommand(*scaling.command.decode(frames))
 
 
 def decode_feedback(frames: Bytes, scaling: Scaling) -> Feedback:
@@ -225,11 +205,18 @@ def decode_feedback(frames: Bytes, scaling: Scaling) -> Feedback:
     Half a quantisation step is added to position, velocity and torque: a motor truncates when it
     packs a value, so that received values are half a step too low on average.
     """
-    fields = _FEEDBACK.unpack(frames)
-    status, *_, mos, rotor = np.moveaxis(fields, -1, 0)
-    centred = fields[..., 2:5] + 0.5
-    position, velocity, torque = scaling._values(centred, fields=_MEASURED)
-    return Feedback(status, position, velocity, torque, mos, rotor)
+    halves = np.array([0.0, 0.0, 0.5, 0.5, 0.5, 0.0, 0.0])
+    status, _, position, velocity, torque, mos, rotor = scaling.feedback.decode(
+        frames, halves
+    )
+    return Feedback(
+        status.astype(int),
+        position,
+        velocity,
+        torque,
+        mos.astype(int),
+        rotor.astype(int),
+    )
 
 
 def encode_feedback(fields: Array, scaling: Scaling) -> Bytes:
@@ -238,9 +225,7 @@ def encode_feedback(fields: Array, scaling: Scaling) -> Bytes:
     ``fields`` (..., n, 7) are status, CAN id, position, velocity, torque and two temperatures.
     Quantities are rounded down and limited to their ranges.
     """
-    codes = fields.astype(np.int64)
-    codes[..., 2:5] = scaling._codes(fields[..., 2:5], _MEASURED, rounding=0.0)
-    return _FEEDBACK.pack(codes)
+    return scaling.feedback.encode(fields, rounding=0.0)
 
 
 REGISTER_ID = 0x7FF
@@ -379,8 +364,7 @@ def bytes_from_value(number: int, value: float) -> bytes:
 
 def register_text(number: int, value: float) -> str:
     """Return "NAME=value" of register ``number``, as written into a recording's header."""
-    text = f"{value:.9g}" if number in SCALING else str(int(value))
-    return f"{Register(number).name}={text}"
+    return f"{Register(number).name}={value:.9g}"
 
 
 DISABLED = 0

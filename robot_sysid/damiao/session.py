@@ -8,8 +8,9 @@ space means those that the frames carry. ``Mounting`` converts one into the othe
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -28,7 +29,6 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     decode_mit,
     encode_mit,
-    is_fault,
     register_frame,
     special_frame,
     status_text,
@@ -223,12 +223,29 @@ class MotorSession:
         # From here on every motor may be enabled.
         self.unconfirmed = self.joints
         # The state of all motors before the first one is enabled.
-        answers = [
-            self._ask(j, register_frame(REFRESH, joint.can_id))
-            for j, joint in enumerate(self.joints)
-        ]
-        positions = [self._enable_one(j, *answer) for j, answer in enumerate(answers)]
-        position = np.array(positions)
+        state = self._request(partial(register_frame, REFRESH))
+        is_enabled = np.zeros(self.n_joints, bool)
+        position = state.position
+        for _ in range(3):
+            last = state
+            state = self._request(partial(special_frame, ENABLE))
+            # The arm is not driven yet.
+            agree = np.abs(state.position - last.position) <= 0.02
+            is_enabled |= (state.status == ENABLED) & agree
+            position = np.where(agree, state.position, position)
+            # One report of a fault may be a damaged frame; two equal ones are the motor's own.
+            has_fault = (state.status > ENABLED) & (state.status == last.status)
+            if np.all(is_enabled) or np.any(has_fault):
+                break
+        for j in np.flatnonzero(~is_enabled)[:1]:
+            code = state.status[j]
+            reason = "no answer" if code == NO_STATUS else status_text(code)
+            if code == ENABLED:
+                reason = (
+                    f"its answers disagree, {last.position[j]:.3f} and "
+                    f"{state.position[j]:.3f} rad"
+                )
+            raise HardwareAbort(f"{self.joints[j].label} did not enable: {reason}")
         now = self.clock.now()
         self._filter.start(now, position)
         self.limits = self.limits.including(position)
@@ -236,45 +253,18 @@ class MotorSession:
         self._moved_until = np.full(self.n_joints, now)
         return position
 
-    def _enable_one(self, j: int, status: int, position: float) -> float:
-        """Enable the motor of joint j (its index) and return the joint's position [rad].
+    def _request(self, frame_to: Callable[[int], CanFrame]) -> Feedback:
+        """Send every motor a request and return their answers, see ``_receive``.
 
-        ``status`` and ``position`` [rad] are those of the motor's last answer. The motor is enabled
-        when it says so and two answers in a row agree about the position. HardwareAbort where it
-        reports the same fault twice in a row, or is not enabled after three commands.
-        """
-        joint = self.joints[j]
-        request = special_frame(ENABLE, joint.can_id)
-        for _ in range(3):
-            last_status = status
-            last_position = position
-            status, position = self._ask(j, request)
-            # The arm is not driven yet.
-            agree = abs(position - last_position) <= 0.02
-            if status == ENABLED and agree:
-                return position
-            # One report of a fault may be a damaged frame; two equal ones are the motor's own.
-            if is_fault(status) and status == last_status != NO_STATUS:
-                break
-        reason = "no answer" if status == NO_STATUS else status_text(status)
-        if status == ENABLED:
-            reason = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
-        raise HardwareAbort(f"{joint.label} did not enable: {reason}")
-
-    def _ask(self, j: int, request: CanFrame) -> tuple[int, float]:
-        """Send a request to the motor of joint j; return its status and joint position [rad].
-
-        Frames that came before are discarded. Without an answer in ``_CONFIRM_TIMEOUT`` the result
-        is ``NO_STATUS`` and NaN.
+        ``frame_to`` returns the request to the motor with a CAN id. Frames that came before are
+        discarded.
         """
         self._link.drain()
-        self._link.send(request)
-
-        until = self.clock.now() + _CONFIRM_TIMEOUT
-        came, _, feedback = self._receive(np.arange(self.n_joints) == j, until)
-        if not came[j]:
-            return NO_STATUS, np.nan
-        return int(feedback.status[j]), feedback.position[j]
+        for joint in self.joints:
+            self._link.send(frame_to(joint.can_id))
+        everyone = np.ones(self.n_joints, bool)
+        _, feedback = self._receive(everyone, self.clock.now() + _CONFIRM_TIMEOUT)
+        return feedback
 
     def exchange(
         self, command: MitCommand, until: float, joints: Mask, braking: bool
@@ -318,17 +308,13 @@ class MotorSession:
         for j in np.flatnonzero(commanded).tolist():
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(CanFrame(self.joints[j].can_id, self._sent_data[j]))
-        came, time, feedback = self._receive(commanded, until)
+        time, feedback = self._receive(commanded, until)
+        came = feedback.status != NO_STATUS
         believed, jump = self._filter.believe(came, time, feedback, acted)
-        measured = feedback.position, feedback.velocity, feedback.torque
-        q, qd, tau = np.where(believed, measured, np.nan)
-        status = np.where(believed, feedback.status, NO_STATUS)
         return Replies(
             answered=believed,
             time=time,
-            feedback=replace(
-                feedback, status=status, position=q, velocity=qd, torque=tau
-            ),
+            feedback=_feedback_of(believed, feedback),
             requested=commanded,
             command=self._command,
             doubted=came & ~believed,
@@ -368,23 +354,15 @@ class MotorSession:
     def disable(self) -> None:
         """Disable every motor; ``unconfirmed`` then has the joints whose motors did not confirm.
 
-        An error of one motor, or of the bus, does not prevent commands to the others.
+        Each motor is commanded five times, and then until it has confirmed it or half a second is
+        over. An error of one motor, or of the bus, does not prevent commands to the others.
         """
         self._takes_any_answer = True
-        # Single frames may be lost, five are not.
-        for repeat in range(5):
-            if repeat:
-                self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
-            # The next of the five attempts, and the confirmation, tell whether it worked.
-            self.switch_off(np.ones(self.n_joints, bool))
-        self._confirm()
-
-    def _confirm(self) -> None:
-        """Ask motors to disable until each has confirmed it, or half a second is over.
-
-        ``unconfirmed`` is set to the joints whose motors have not confirmed it.
-        """
         running = np.ones(self.n_joints, bool)
+        # Single frames may be lost, five are not.
+        for _ in range(5):
+            self.switch_off(running)
+            self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
         # A bus that fails may work again by then.
         patience = self.clock.now() + 0.5
         while np.any(running) and self.clock.now() < patience:
@@ -392,20 +370,20 @@ class MotorSession:
                 self._link.drain()
                 self.switch_off(running)
                 until = self.clock.now() + _CONFIRM_TIMEOUT
-                came, _, feedback = self._receive(running, until)
-                running &= ~came | (feedback.status == ENABLED)
+                _, feedback = self._receive(running, until)
+                running &= np.isin(feedback.status, (ENABLED, NO_STATUS))
             except BaseException:
                 # Whatever a driver raises, SystemExit and KeyboardInterrupt included: it may
                 # recover, and the other motors still listen.
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 
-    def _receive(self, motors: Mask, until: float) -> tuple[Mask, Array, Feedback]:
+    def _receive(self, motors: Mask, until: float) -> tuple[Array, Feedback]:
         """Wait for the answers of motors, at most until a time in the clock [s].
 
-        Returns whether each joint's answer came (n,), the time (n,) of its sample [s], and the
-        feedback in joint space, fields (n,), which means nothing where no answer came. ``motors``
-        (n,) says whose answers are waited for.
+        Returns the time (n,) of each joint's sample [s], and the feedback in joint space, fields
+        (n,); where no answer came they are NaN and ``NO_STATUS``. ``motors`` (n,) says whose
+        answers are waited for.
         """
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         # Time (n,) at which each command was on the bus, and at which each answer came [s].
@@ -425,7 +403,8 @@ class MotorSession:
         )
         feedback = replace(decoded, position=q, velocity=qd, torque=tau)
         came = np.isfinite(received)
-        return came, np.where(came & np.isfinite(sent), sent, received), feedback
+        time = np.where(came & np.isfinite(sent), sent, received)
+        return time, _feedback_of(came, feedback)
 
     def _answering_joint(self, frame: CanFrame) -> int | None:
         """Count a received frame; return the joint (its index) that answers by it, or None.
@@ -445,3 +424,11 @@ class MotorSession:
             return None
         is_timely = self._outstanding.take_answer(j)
         return j if is_timely or self._takes_any_answer else None
+
+
+def _feedback_of(joints: Mask, feedback: Feedback) -> Feedback:
+    """Return the feedback of some joints (n,); of the others it is ``NO_STATUS`` and NaN."""
+    measured = feedback.position, feedback.velocity, feedback.torque
+    q, qd, tau = np.where(joints, measured, np.nan)
+    status = np.where(joints, feedback.status, NO_STATUS)
+    return replace(feedback, status=status, position=q, velocity=qd, torque=tau)

@@ -177,7 +177,7 @@ def test_a_command_that_looks_like_a_special_frame_is_refused_by_the_motors_numb
 
 @pytest.mark.parametrize("limit_value", [0.0, -12.5, np.nan, np.inf])
 def test_scaling_has_to_be_positive(limit_value):
-    with pytest.raises(InputError, match="velocity scaling must be positive numbers"):
+    with pytest.raises(InputError, match="PMAX, VMAX and TMAX must be positive"):
         Scaling([(1.0, 2.0, 3.0), (12.5, limit_value, 28.0)])
 
 
