@@ -12,8 +12,8 @@ bytes little endian, eight bytes of data, 55.
 from __future__ import annotations
 
 import contextlib
-import errno
 import re
+import struct
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -70,10 +70,6 @@ SERIAL_ADAPTER = "damiao"
 # It is more than a busy computer makes a program wait (a cycle may be 20 ms late), and less than
 # motors on another bus can wait for their next command: watchdogs take 0.1 s or more.
 _SEND_TIMEOUT = 0.05
-_FULL = (
-    "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
-    "the wiring and the termination (60 ohm between the two wires)"
-)
 
 
 def import_can() -> Any:
@@ -120,7 +116,7 @@ class BusLink:
     clock: SystemClock
 
     def send(self, frame: CanFrame) -> None:
-        """Send a frame, tried for 1.5 ms while the queue is full; else LinkError."""
+        """Send a frame; LinkError where the bus does not take it for 1.5 ms."""
         message = can_message(frame)
         # A queue that is full for longer does not empty within a control cycle.
         patience = self.clock.now() + 1.5e-3
@@ -129,14 +125,12 @@ class BusLink:
                 return self.bus.send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
-                # ENOBUFS: the queue is full. Drivers have the code in either attribute.
-                codes = [getattr(error, name, None) for name in ("error_code", "errno")]
-                if errno.ENOBUFS not in codes:
-                    raise LinkError(
-                        f"the CAN bus does not take frames: {_driver_text(error)}"
-                    ) from error
                 if self.clock.now() >= patience:
-                    raise LinkError(_FULL) from error
+                    raise LinkError(
+                        f"the CAN bus does not take frames: {_driver_text(error)}; check the "
+                        "adapter, the motors' power, the wiring and the termination (60 ohm "
+                        "between the two wires)"
+                    ) from error
             self.clock.sleep_until(self.clock.now() + 2e-4)
 
     def receive(self, until: float) -> CanFrame | None:
@@ -148,18 +142,17 @@ class BusLink:
         while True:
             message = None
             try:
-                message = self.bus.recv(max(until - self.clock.now(), 0.0))
-            except (ValueError, IndexError):
-                pass
+                with contextlib.suppress(ValueError, IndexError):
+                    message = self.bus.recv(max(until - self.clock.now(), 0.0))
             except (Exception, SystemExit) as error:
                 raise LinkError(
                     f"the CAN bus cannot be read: {_driver_text(error)}"
                 ) from error
-            if message is None and self.clock.now() >= until:
-                return None
-            if message is None or message.is_extended_id or message.is_error_frame:
-                continue
-            return self._frame(message)
+            if message is None:
+                if self.clock.now() >= until:
+                    return None
+            elif not (message.is_extended_id or message.is_error_frame):
+                return self._frame(message)
 
     def close(self) -> None:
         """Close the bus; a driver's exceptions are dropped: they would hide errors about motors."""
@@ -174,15 +167,10 @@ class BusLink:
         """
         age = time.time() - message.timestamp
         # An older frame is stamped by another clock.
-        if not 0.0 <= age < 1.0:
-            age = 0.0
-        return CanFrame(
-            id=message.arbitration_id,
-            data=bytes(message.data),
-            time=self.clock.now() - age,
-            fd=message.is_fd,
-            echo=not message.is_rx,
-        )
+        stamp = self.clock.now() - (age if 0.0 <= age < 1.0 else 0.0)
+        data = bytes(message.data)
+        is_echo = not message.is_rx
+        return CanFrame(message.arbitration_id, data, stamp, message.is_fd, is_echo)
 
 
 def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusLink:
@@ -220,10 +208,9 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
         options[name] = can.util.cast_from_string(value)
     try:
         if interface == SERIAL_ADAPTER:
-            return BusLink(SerialAdapter(str(channel), **options), clock)
-        bus = can.Bus(
-            channel=channel, interface=interface, ignore_config=True, **options
-        )
+            bus: Any = SerialAdapter(str(channel), **options)
+        else:
+            bus = can.Bus(channel, interface, ignore_config=True, **options)
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
         raise InputError(
@@ -238,8 +225,6 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
 _LINE_END = re.compile(rb"[\r\a]")
 PACKET = re.compile(rb"\xaa.{14}\x55", re.DOTALL)
 """A packet from the maker's adapter."""
-# First bytes of a packet to the maker's adapter, up to the type of id.
-_HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
 
 
 class SerialReader:
@@ -310,18 +295,20 @@ class SerialAdapter:
     def send(self, message: Any, timeout: float) -> None:
         """Send a frame; the adapter does not report when the frame was on the bus."""
         data = bytes(message.data)
-        identifier = message.arbitration_id.to_bytes(4, "little")
-        body = identifier + bytes([0, len(data), 0, 0]) + data.ljust(8, b"\0")
-        self._port.write(_HEAD + body + b"\0")
+        head = bytes([0x55, 0xAA, 30, 0x03])
+        numbers = 1, 10, message.arbitration_id, len(data)
+        self._port.write(struct.pack("<4sIIxIxBxx8sx", head, *numbers, data))
 
     def recv(self, timeout: float) -> Any:
         """Return the next message, or None; it waits for at most ``timeout`` [s]."""
         line = self._read(timeout)
-        # Other packets hold no received frame.
-        if line is None or line[-15] != 0x11:
+        if line is None:
             return None
-        frame = CanFrame(int.from_bytes(line[-13:-9], "little"), line[-9:-1])
-        return can_message(frame, timestamp=time.time())
+        kind, can_id, data = struct.unpack("<xBxI8sx", line[-16:])
+        # Other packets hold no received frame.
+        if kind != 0x11:
+            return None
+        return can_message(CanFrame(can_id, data), timestamp=time.time())
 
     def shutdown(self) -> None:
         """Close the serial line."""

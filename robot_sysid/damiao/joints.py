@@ -2,7 +2,7 @@
 
 A motor type's scaling limits PMAX [rad], VMAX [rad/s] and TMAX [N m] only define how quantities are
 packed into CAN frames; the torque that a motor can deliver is in its ratings. Each motor stores its
-limits in registers, where they can be changed. So the table ``MOTORS`` serves the export and the
+limits in registers, where they can be changed. So ``motors.csv`` serves the export and the
 comparison with the registers; on a bus the register values are used.
 
 A motor may turn opposite to its joint in the model, and have another zero position than the joint:
@@ -25,6 +25,7 @@ it in this direction, else empty.
 
 from __future__ import annotations
 
+import csv
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -62,27 +63,16 @@ class MotorSpec:
     no_load_rpm: float | None = None
 
 
-# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, no-load rpm.
-_SPECS = (
-    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 200.0),
-    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 52.0),
-    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 100.0),
-    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 240.0),
-    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 200.0),
-    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 100.0),
-    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 160.0),
-    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 460.0),
-    # The maker's sources disagree about its VMAX, 30 or 50 rad/s.
-    MotorSpec("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 400.0),
-    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, None),
-    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 150.0),
-    MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45),
-    MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0),
-    # Its TMAX is below its rated torque, and its VMAX leaves steps of 1 rad/s.
-    MotorSpec("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8),
-    MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7),
-)
-MOTORS = {spec.name: spec for spec in _SPECS}
+def _motor_specs() -> Iterator[MotorSpec]:
+    """Yield the motor types in the table ``motors.csv``, in its order."""
+    path = Path(__file__).with_name("motors.csv")
+    with path.open(encoding="utf-8") as file:
+        for name, *cells in csv.reader(line for line in file if line[0] != "#"):
+            pmax, vmax, tmax, rated, peak, *no_load = map(float, filter(None, cells))
+            yield MotorSpec(name, (pmax, vmax, tmax), rated, peak, *no_load)
+
+
+MOTORS = {spec.name: spec for spec in _motor_specs()}
 """Data of every supported motor type, by its name."""
 
 
@@ -115,7 +105,9 @@ def matching_types(limits: Sequence[float]) -> tuple[str, ...]:
     Args:
         limits: PMAX [rad], VMAX [rad/s] and TMAX [N m], as read from a motor's registers.
     """
-    return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
+    return tuple(
+        spec.name for spec in MOTORS.values() if limits_agree(spec.limits, limits)
+    )
 
 
 def limits_agree(expected: Sequence[float], actual: Sequence[float]) -> bool:
@@ -182,23 +174,20 @@ def damiao_joints(
     Raises:
         InputError: wrong number of types or ids, unknown type, or ids that clash.
     """
-    types = [motor_spec(name).name for name in motor_types]
     can_ids = can_ids or range(1, n_joints + 1)
     master_ids = master_ids or [can_id + MASTER_ID_OFFSET for can_id in can_ids]
-    for key, values in (
-        ("motor_type", types),
-        ("can_id", can_ids),
-        ("master_id", master_ids),
-    ):
-        if len(values) != n_joints:
+    values = {"motor_type": motor_types, "can_id": can_ids, "master_id": master_ids}
+    for key, numbers in values.items():
+        if len(numbers) != n_joints:
             raise InputError(
                 f"{option_name(key)} needs one value per joint of the chain, base to terminal: "
-                f"{n_joints}, got {len(values)}"
+                f"{n_joints}, got {len(numbers)}"
             )
     for problem in id_problems(list(zip(can_ids, master_ids))):
         raise InputError(problem)
     joint_names = names or [""] * n_joints
     # The first four fields of a joint: type, CAN id, master id and name.
+    types = [motor_spec(name).name for name in motor_types]
     return tuple(map(DamiaoJoint, types, can_ids, master_ids, joint_names))
 
 
@@ -286,14 +275,14 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
     for line in read_text(path, "give a joint map").splitlines():
         if line.strip() and not line.startswith("#"):
             table.append([cell.strip() for cell in line.split(",")])
-    if table[:1] != [_COLUMNS]:
-        raise InputError(f"{path}: expected the columns {', '.join(_COLUMNS)}")
+    if table[:1] != [_COLUMNS] or len(table) == 1:
+        raise InputError(
+            f"{path}: expected the columns {', '.join(_COLUMNS)} and a row per joint"
+        )
     joints = tuple(
         _parse_row(cells, f"{path}, row {number}")
         for number, cells in enumerate(table[1:], start=1)
     )
-    if not joints:
-        raise InputError(f"{path} has no lines")
     for name, count in Counter(joint.name for joint in joints).items():
         if count > 1:
             raise InputError(f"{path} names {name} twice")

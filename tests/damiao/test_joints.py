@@ -124,7 +124,7 @@ TITLES = "joint,can_id,master_id,direction,offset,verified\n"
         ("", "expected the columns"),
         ("joint,can_id\na,1\n", "expected the columns"),
         ("joint,can_id,direction,colour\na,1,1,red\n", "expected the columns"),
-        (TITLES, "has no lines"),
+        (TITLES, "and a row per joint"),
         (TITLES + "a,1,17,2,0,\n", r"row 1: expected a row as .* direction \+1 or -1"),
         (TITLES + "a,1,17,1,0,\nb,x,1,1,0,\n", "row 2: expected"),
         (TITLES + "a,1,17,1,0,\na,2,18,1,0,\n", "names a twice"),
