@@ -34,7 +34,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import starmap
 from pathlib import Path
 
@@ -107,18 +107,10 @@ class Aside:
             self.failure = error
 
 
-# Titles of a joint's further columns, which follow the measured ones of all joints.
-_EXTRA = (
-    "time",
-    "cmd_pos",
-    "cmd_vel",
-    "cmd_tau",
-    "cmd_mean",
-    "doubted",
-    "status",
-    "temp_mos",
-    "temp_rotor",
-)
+# Titles of a joint's further columns, which follow the measured ones of all joints: quantities with
+# six decimals, then whole numbers.
+_QUANTITIES = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_mean")
+_CODES = ("doubted", "status", "temp_mos", "temp_rotor")
 
 
 class MeasurementRecorder:
@@ -146,8 +138,11 @@ class MeasurementRecorder:
         self._centring = Centring(plan.settings.period, plan.mobility)
         n_joints = plan.trajectory.n_joints
         columns = ["time", *trajectory_columns(n_joints)]
+        formats = ["%.6f"] * len(columns)
         for j in range(n_joints):
-            columns += [f"j{j}_{signal}" for signal in _EXTRA]
+            columns += [f"j{j}_{signal}" for signal in _QUANTITIES + _CODES]
+            formats += ["%.6f"] * len(_QUANTITIES) + ["%.0f"] * len(_CODES)
+        self._row_format = ",".join(formats) + "\n"
         lines = [f"# {line}" for line in _head(plan, registers)]
         lines.append(",".join(columns))
         mode = "w" if plan.recording.overwrite else "x"
@@ -204,27 +199,31 @@ class MeasurementRecorder:
         """
 
         def write_row() -> None:
-            """Write the time, position, velocity and torque of each joint, and ``_EXTRA``."""
+            """Write the measured columns of all joints, then the further ones."""
             feedback = replies.feedback
             centre = self._centring.torques(replies, acted)
+            codes = (
+                feedback.status,
+                feedback.temperature_mos,
+                feedback.temperature_rotor,
+            )
+            further = (
+                replies.time - origin,
+                acted.position,
+                acted.velocity,
+                acted.torque,
+                centre,
+                replies.doubted,
+                *np.where(replies.answered, codes, np.nan),
+            )
             # Rows of these tables are joints.
             measured = np.column_stack(
                 [feedback.position, feedback.velocity, feedback.torque + centre]
             )
-            stamps = replies.time - origin
-            commanded = np.column_stack(
-                [stamps, acted.position, acted.velocity, acted.torque, centre]
-            )
-            temperatures = feedback.temperature_mos, feedback.temperature_rotor
-            cells = [f"{time:.6f}"]
-            for values in measured:
-                cells += _numbers(values)
-            for j, values in enumerate(commanded):
-                cells += _numbers(values)
-                cells.append(str(int(replies.doubted[j])))
-                for codes in (feedback.status, *temperatures):
-                    cells.append(str(codes[j]) if replies.answered[j] else "")
-            self._file.write(mark + ",".join(cells) + "\n")
+            cells = time, *measured.flat, *np.column_stack(further).flat
+            # What is not known is an empty cell.
+            row = (self._row_format % cells).replace("nan", "")
+            self._file.write(mark + row)
 
         self._aside(write_row)
 
@@ -255,11 +254,6 @@ def _head(plan: Plan, registers: Sequence[Mapping[int, float]]) -> list[str]:
         "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
         "jN_doubted=1: an answer came that cannot be true; it is left out here",
     ]
-
-
-def _numbers(values: Iterable[float]) -> list[str]:
-    """Return the text of each value with six decimals; "" for one that is not finite."""
-    return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]
 
 
 class Centring:

@@ -320,9 +320,8 @@ def send_signal(name):
 
 
 def disk_full(rig):
-    rig.patch.setattr(
-        recorder, "_numbers", raising(OSError(28, "No space left on device"))
-    )
+    full = raising(OSError(28, "No space left on device"))
+    rig.patch.setattr(recorder.Centring, "torques", full)
 
 
 def ask_for_too_much(rig):
