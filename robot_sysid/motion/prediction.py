@@ -137,7 +137,7 @@ def motion_lines(
     """
     yield Detail("Largest values, a position from the middle of its range:")
     for use in check.uses:
-        numbers = f"{use.value:.2f} of {use.limit:.2f} at {use.time:.2f} s"
+        numbers = f"{abs(use.value):.2f} of {abs(use.limit):.2f} at {use.time:.2f} s"
         yield Detail(f"  {numbers}: {use.name}")
     limits_text = "; ".join(_assumed_limits(problem))
     if limits_text:

@@ -46,7 +46,7 @@ def test_peaks_equal_those_of_dense_samples(seed, size):
     signals = (offset, motion.qd, motion.qdd, THREE.torque(motion))
     largest = np.max(np.abs(signals), axis=1)
     peaks = np.reshape([use.value for use in check.uses[:12]], (4, 3))
-    assert_allclose(peaks, largest, atol=1e-9)
+    assert_allclose(np.abs(peaks), largest, atol=1e-9)
     is_within = (motion.q >= limits.lower) & (motion.q <= limits.upper)
     is_within &= np.abs(motion.qd) <= limits.velocity
     is_within &= np.abs(motion.qdd) <= limits.acceleration
