@@ -12,8 +12,9 @@ motion. A joint that stands has an error below its dry friction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,12 +24,12 @@ from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import percent
 
-SETTLING = 3.0
-"""Longest time for which the arm is held until it stands still [s]."""
+SETTLING = 2.0
+"""Time for which the arm is held until it stands still [s]."""
 FADE = 1.0
 """Time in which the stiffness is then taken away [s]."""
-USUAL = PlaySettings()
-"""Settings that no others widen: how far and how fast a joint may float."""
+LAST = 0.5
+"""Time at the end from which the drift is measured [s]."""
 AT_END = 0.02
 """Distance from an end of its range at which a joint is held by its stop, perhaps [rad]."""
 
@@ -38,18 +39,17 @@ class Floating(Follower):
 
     It raises HardwareAbort for a joint that moves farther than ``max_tracking_error``, or faster
     than ``approach_speed``, as commands may not follow any faster, or out of the model's range, to
-    which its position would be pulled back at the end. Settings that allow more than the default
-    ones do not count: an arm that falls is caught.
+    which its position would be pulled back at the end. An error larger than the default one does
+    not count: an arm that falls is caught.
 
     Args:
         plan: of the n joints, base to terminal; the arm floats without stiffness for its duration.
         carries: returns the torque (n,) that carries the arm in a pose (n,) [N m].
 
     Attributes:
-        duration: longest time that all takes [s].
+        duration: time that all takes [s].
         samples: time since the stiffness began to fade [s], and position, velocity and commanded
-            torque (3, n) of each cycle since then [rad, rad/s, N m]; of a long time those of the
-            first and of the last two seconds.
+            torque (3, n) of each of the last cycles since then [rad, rad/s, N m].
     """
 
     def __init__(self, plan: Plan, carries: Callable[[Array], Array]) -> None:
@@ -57,71 +57,49 @@ class Floating(Follower):
         self._settings = plan.settings
         self._carries = carries
         self.duration = SETTLING + FADE + plan.duration
-        self.samples: list[tuple[float, Array]] = []
+        n_samples = max(round(LAST / plan.settings.period), 5)
+        self.samples: deque[tuple[float, Array]] = deque(maxlen=n_samples)
         # Number of cycles in a row in which each joint was too fast.
         self._fast = np.zeros(plan.trajectory.n_joints, int)
         self._time = 0.0
-        # Time at which a joint last moved, and at which the stiffness began to fade [s].
-        self._moved_at = 0.0
-        self._began_at = np.inf
 
     def begin(self, standing: Reference) -> Floating:
         """Take the reference in which the arm stands, and return this reference."""
         self._limits = self._plan.command_limits.including(standing.position)
         self._position = standing.position
-        # Last believed positions of the joints, their means over the last quarter of a second, and
-        # those from which they float (n,) each [rad].
+        # Last believed positions of the joints, their means over a quarter of a second, and those
+        # from which they float (n,) each [rad].
         self._q = self._mean = self._first = standing.position
+        self._offset = 0.0 * standing.position
         return self
 
     def follow(self, q: Array, qd: Array, torque: Array) -> None:
         """Take positions, velocities and torques of a cycle, see ``Follower``."""
         self._q = np.where(np.isfinite(q), q, self._q)
         self._qd = qd
-        if self._time < self._began_at:
-            self._settle()
-            return
-        self.samples.append((self._time - self._began_at, np.stack([q, qd, torque])))
-        cycles = round(2.0 / self._settings.period)
-        if len(self.samples) > 2 * cycles:
-            del self.samples[cycles]
-        is_fast = np.abs(qd) > min(self._settings.approach_speed, USUAL.approach_speed)
-        self._fast = np.where(is_fast, self._fast + 1, 0)
-
-    def _settle(self) -> None:
-        """Let the stiffness fade if the arm has stood still for a quarter of a second."""
-        patience = 0.25
-        share = min(self._settings.period / patience, 1.0)
-        self._mean = self._mean + share * (self._q - self._mean)
-        # Some steps of a position.
-        if np.any(np.abs(self._q - self._mean) > 1e-3):
-            self._moved_at = self._time
-        if self._time > min(self._moved_at + patience, SETTLING):
-            self._began_at = self._time
-            self._first = self._q
-            # With it goes the mean torque that stiffness adds, not that of the arm's last swing.
+        since = self._time - SETTLING
+        if since < 0.0:
+            share = min(self._settings.period / 0.25, 1.0)
+            self._mean = self._mean + share * (self._q - self._mean)
+            # Stiffness takes its mean torque with it, not that of the arm's last swing.
             self._offset = self._position - self._mean
-
-    @property
-    def is_done(self) -> bool:
-        """Whether the arm has floated for its time."""
-        return self._time >= self._began_at + FADE + self._plan.duration
+            self._first = self._q
+            return
+        self.samples.append((since, np.stack([q, qd, torque])))
+        self._fast = (self._fast + 1) * (np.abs(qd) > self._settings.approach_speed)
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s]; HardwareAbort for a joint that falls."""
         reach = self._settings.approach_speed * (time - self._time)
         self._time = time
-        if time > self._began_at:
-            share = min((time - self._began_at) / FADE, 1.0)
-            stiffness = 0.5 + 0.5 * np.cos(np.pi * share)
-            # Less would be rounded to nothing.
-            self.stiffness = self.damping = stiffness if stiffness > 0.01 else 0.0
+        if time > SETTLING:
+            self._catch()
+            self.stiffness = max(1.0 - (time - SETTLING) / FADE, 0.0)
+            self.damping = self.stiffness
             position = self._q + self.stiffness * self._offset
             position = np.clip(position, self._position - reach, self._position + reach)
             self._position = np.clip(position, self._limits.lower, self._limits.upper)
-            self._catch()
-        still = np.zeros_like(self._q)
-        return Reference(self._position, still, self._carries(self._q))
+        return Reference(self._position, 0.0 * self._q, self._carries(self._q))
 
     def _catch(self) -> None:
         """Raise HardwareAbort for the first joint that is too far or, for two cycles, too fast."""
@@ -129,27 +107,28 @@ class Floating(Follower):
         inside = np.clip(self._q, self._limits.lower, self._limits.upper)
         # At its end a joint may rest, and its zero be off by as much.
         has_left = np.abs(self._q - inside) > AT_END
-        farthest = min(self._settings.max_tracking_error, USUAL.max_tracking_error)
-        is_far = np.abs(moved) > farthest
+        farthest = min(
+            self._settings.max_tracking_error, PlaySettings.max_tracking_error
+        )
         # A single velocity may be a damaged one.
-        for j in np.flatnonzero(is_far | has_left | (self._fast > 1)).tolist():
+        is_falling = (np.abs(moved) > farthest) | (self._fast > 1)
+        for j in np.flatnonzero(is_falling | has_left).tolist():
             what = "is not carried by the model's gravity"
             if has_left[j]:
                 what = "leaves the model's range"
             raise HardwareAbort(
                 f"{self._plan.trajectory.joints[j].label} {what}: it has moved by "
-                f"{np.degrees(moved[j]):.1f} deg in {self._time - self._began_at:.1f} s, at last "
+                f"{np.degrees(moved[j]):.1f} deg in {self._time - SETTLING:.1f} s, at last "
                 f"by {np.degrees(self._qd[j]):.1f} deg/s, and was caught"
             )
 
 
-@dataclass(frozen=True)
-class Drift:
+class Drift(NamedTuple):
     """How a joint drifts, and what explains it.
 
     Attributes:
         joint: its name.
-        speed: mean velocity without stiffness [rad/s].
+        speed: mean velocity [rad/s].
         end_speed: velocity at the end [rad/s]; 0 where it stands.
         gravity: torque that holds it at the end, by the model [N m].
         error: true minus modelled gravity, if the model's friction is right [N m]; where it
@@ -173,48 +152,40 @@ class Drift:
         """Return a sentence: how the joint moves, and what that says of the model."""
         size = abs(self.error)
         weight = abs(self.gravity)
+        friction = f"{self.friction:.2g}"
+        side = "more" if self.gravity * self.error > 0.0 else "less"
         if self.end_speed == 0.0:
+            motion = f"stands (mean drift {np.degrees(abs(self.speed)):.2f} deg/s)"
             # Stiffness that had not faded yet, when another joint was caught, has held it too.
             bound = size + self.friction + 0.5 * self.step
-            doubt = (
-                f"its gravity is right to within {bound:.2g} N·m, if its dry "
-                f"friction is the model's {self.friction:.2g}"
+            finding = (
+                f"right to within {bound:.2g} N·m, if its dry friction is the model's "
+                f"{friction}"
             )
             if self.friction == 0.0:
-                doubt = (
-                    "how right its gravity is, is not known without its dry friction"
-                )
+                finding = "not known without its dry friction"
             if self.is_at_end:
-                doubt = "how right its gravity is, is not known at the end of its range"
-            speed = np.degrees(abs(self.speed))
-            return f"{self.joint} stands (mean drift {speed:.2f} deg/s): {doubt}"
-        verb = "sinks" if self.gravity * self.end_speed < 0.0 else "rises"
-        is_within_step = size < 0.5 * self.step
-        if self.friction == 0.0:
-            size = max(size - 0.5 * self.step, 0.0)
-        share = f" ({percent(size / weight)})" if size < weight else ""
-        deviation = (
-            f"{size:.2g} N·m{share} {'more' if self.gravity * self.error > 0.0 else 'less'} than "
-            f"the model's {weight:.2g} N·m"
-        )
-        text = (
-            f"about {deviation}; by the model its friction takes {self.friction:.2g} N·m at this "
-            "speed"
-        )
-        if self.friction == 0.0:
-            text = f"at least {deviation}, which has no friction"
-        if is_within_step:
-            text = (
-                f"perhaps right, as its motor's torque has steps of {self.step:.2g} N·m"
+                finding = "not known at the end of its range"
+        else:
+            motion = f"drifts at {np.degrees(abs(self.end_speed)):.2f} deg/s"
+            least = "about"
+            doubt = f"; by the model its friction takes {friction} N·m at this speed"
+            if self.friction == 0.0:
+                size -= 0.5 * self.step
+                least = "at least"
+                doubt = ", which has no friction"
+            share = f" ({percent(size / weight)})" if size < weight else ""
+            finding = (
+                f"{least} {size:.2g} N·m{share} {side} than the model's {weight:.2g} "
+                f"N·m{doubt}"
             )
-        return (
-            f"{self.joint} {verb if abs(self.error) <= weight else 'drifts'} at "
-            f"{np.degrees(abs(self.end_speed)):.2f} deg/s: its gravity is {text}"
-        )
+            if abs(self.error) < 0.5 * self.step:
+                finding = f"perhaps right, as its motor's torque has steps of {self.step:.2g} N·m"
+        return f"{self.joint} {motion}: its gravity is {finding}"
 
 
 def measure_drift(
-    samples: Sequence[tuple[float, Array]], robot: RobotModel, step: Array
+    samples: Iterable[tuple[float, Array]], robot: RobotModel, step: Array
 ) -> list[Drift]:
     """Return how the joints of an arm drift; nothing where it did not float long enough.
 
@@ -226,29 +197,25 @@ def measure_drift(
     from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 
     complete = [sample for sample in samples if np.all(np.isfinite(sample[1]))]
-    free = [sample for sample in complete if sample[0] >= FADE]
-    # An arm that was caught earlier has moved while its stiffness faded.
-    used = free if len(free) > 10 else complete
-    if len(used) < 5:
+    if len(complete) < 5:
         return []
-    time, signals = map(np.array, zip(*used))
-    last = time > time[-1] - 0.5
-    since = time[last] - np.mean(time[last])
-    half_acceleration, mean_speed, middle = np.polyfit(since, signals[last, 0], 2)
+    time, signals = map(np.array, zip(*complete))
+    since = time - np.mean(time)
+    half_acceleration, speed, middle = np.polyfit(since, signals[:, 0], 2)
     # A tenth of a degree per second is more than two steps of a position in half a second.
-    moves = np.abs(mean_speed) > np.radians(0.1)
+    moves = np.abs(speed) > np.radians(0.1)
     # As it moves, and at rest.
-    velocity = np.outer([1.0, 0.0], moves * mean_speed)
+    velocity = np.outer([1.0, 0.0], moves * speed)
     acceleration = np.outer([1.0, 0.0], moves * 2.0 * half_acceleration)
     q = np.array([middle, middle])
     needed, gravity = ArmDynamics(robot)(Motion(np.zeros(2), q, velocity, acceleration))
     friction = np.abs(robot.friction.torque(velocity)[0])
     ends = np.array([robot.limits.lower, robot.limits.upper])
     columns = (
-        (signals[-1, 0] - signals[0, 0]) / (time[-1] - time[0]),
+        speed,
         velocity[0] + since[-1] * acceleration[0],
         gravity,
-        np.mean(signals[last, 2], axis=0) - needed,
+        np.mean(signals[:, 2], axis=0) - needed,
         np.where(moves, friction, robot.friction.largest_dry),
         np.any(np.abs(middle - ends) < AT_END, axis=0),
         step,
