@@ -22,7 +22,7 @@ from robot_sysid.damiao.references import Follower, Reference
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array, Motion, RobotModel
-from robot_sysid.records.messages import percent
+from robot_sysid.records.messages import with_error
 
 SETTLING = 2.0
 """Time for which the arm is held until it stands still [s]."""
@@ -124,64 +124,40 @@ class Floating(Follower):
 
 
 class Drift(NamedTuple):
-    """How a joint drifts, and what explains it.
+    """How a joint drifts, and what that says of its model's gravity.
 
     Attributes:
         joint: its name.
-        speed: mean velocity [rad/s].
         end_speed: velocity at the end [rad/s]; 0 where it stands.
         gravity: torque that holds it at the end, by the model [N m].
         error: true minus modelled gravity, if the model's friction is right [N m]; where it
-            stands, what stiffness still adds, and its friction is in it.
-        friction: friction at the end by the model, dry friction where it stands [N m].
+            stands, what stiffness still adds.
+        doubt: what ``error`` may be off by [N m]: the model's friction at that speed, dry friction
+            where it stands, and half a step of the commanded torque; infinite where the model has
+            no friction, or a stop may hold the joint.
         is_at_end: whether it is at an end of its range, where a stop may hold it.
-        step: of the torque that its motor is commanded, half of which ``error`` may be off by
-            [N m].
     """
 
     joint: str
-    speed: float
     end_speed: float
     gravity: float
     error: float
-    friction: float
+    doubt: float
     is_at_end: bool
-    step: float
 
     def __str__(self) -> str:
         """Return a sentence: how the joint moves, and what that says of the model."""
-        size = abs(self.error)
-        weight = abs(self.gravity)
-        friction = f"{self.friction:.2g}"
-        side = "more" if self.gravity * self.error > 0.0 else "less"
-        if self.end_speed == 0.0:
-            motion = f"stands (mean drift {np.degrees(abs(self.speed)):.2f} deg/s)"
-            # Stiffness that had not faded yet, when another joint was caught, has held it too.
-            bound = size + self.friction + 0.5 * self.step
-            finding = (
-                f"right to within {bound:.2g} N·m, if its dry friction is the model's "
-                f"{friction}"
-            )
-            if self.friction == 0.0:
-                finding = "not known without its dry friction"
-            if self.is_at_end:
-                finding = "not known at the end of its range"
-        else:
+        motion = "stands"
+        if self.end_speed:
             motion = f"drifts at {np.degrees(abs(self.end_speed)):.2f} deg/s"
-            least = "about"
-            doubt = f"; by the model its friction takes {friction} N·m at this speed"
-            if self.friction == 0.0:
-                size -= 0.5 * self.step
-                least = "at least"
-                doubt = ", which has no friction"
-            share = f" ({percent(size / weight)})" if size < weight else ""
-            finding = (
-                f"{least} {size:.2g} N·m{share} {side} than the model's {weight:.2g} "
-                f"N·m{doubt}"
-            )
-            if abs(self.error) < 0.5 * self.step:
-                finding = f"perhaps right, as its motor's torque has steps of {self.step:.2g} N·m"
-        return f"{self.joint} {motion}: its gravity is {finding}"
+        if self.is_at_end:
+            motion += " at an end of its range"
+        # Positive where it is heavier than the model.
+        excess = np.sign(self.gravity) * self.error
+        return (
+            f"{self.joint} {motion}: its gravity differs from the model's "
+            f"{abs(self.gravity):.2g} N·m by {with_error(excess, self.doubt, 'N·m')}"
+        )
 
 
 def measure_drift(
@@ -210,14 +186,15 @@ def measure_drift(
     q = np.array([middle, middle])
     needed, gravity = ArmDynamics(robot)(Motion(np.zeros(2), q, velocity, acceleration))
     friction = np.abs(robot.friction.torque(velocity)[0])
+    friction = np.where(moves, friction, robot.friction.largest_dry)
     ends = np.array([robot.limits.lower, robot.limits.upper])
+    is_at_end = np.any(np.abs(middle - ends) < AT_END, axis=0)
+    is_known = (friction > 0.0) & ~is_at_end
     columns = (
-        speed,
         velocity[0] + since[-1] * acceleration[0],
         gravity,
         np.mean(signals[:, 2], axis=0) - needed,
-        np.where(moves, friction, robot.friction.largest_dry),
-        np.any(np.abs(middle - ends) < AT_END, axis=0),
-        step,
+        np.where(is_known, friction + 0.5 * step, np.inf),
+        is_at_end,
     )
     return [Drift(*row) for row in zip(robot.joint_names, *columns)]
