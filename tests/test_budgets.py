@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3600,
     "robot_sysid": 11132,
-    "tests": 231515,
+    "tests": 232233,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import trajectory_of
+from rigs.damiao_rig import MotorBus, swing, trajectory_of
 from robot_sysid.commands.motors.setup import SetupOptions
-from robot_sysid.damiao.joints import MOTORS
-from robot_sysid.damiao.preflight import plan_checks, watchdog_checks
-from robot_sysid.damiao.protocol import BusTiming, bus_load
+from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.preflight import (
+    bus_checks,
+    direction_checks,
+    plan_checks,
+    watchdog_checks,
+)
+from robot_sysid.damiao.protocol import BusTiming, Register, bus_load
 from robot_sysid.damiao.settings import Plan, PlaySettings
+from robot_sysid.errors import InputError
+from robot_sysid.records import Limits
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import record_from
 
@@ -79,3 +89,87 @@ def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, t
         given = record_from(SetupOptions, {"watchdog": float(advised)})
         checks = watchdog_checks("motor 1", given.watchdog, 1.0 / rate)
         assert severities(checks, "") in ([], [Level.SAYS])
+
+
+# --- one row per finding ------------------------------------------------------------------------
+
+
+def texts(checks, level=Level.REFUSES):
+    """What the checks of a level say."""
+    return [check.text for check in checks if check.level is level]
+
+
+def swing_plan(joints=None, **changes):
+    """The plan of a short swing of two motors."""
+    trajectory = trajectory_of(swing(2, duration=1.0))
+    if joints is not None:
+        trajectory = replace(trajectory, joints=joints)
+    return replace(Plan(trajectory), **changes)
+
+
+TWINS = damiao_joints(["DM4340"], 1) * 2
+NARROW = Limits(np.array([0.1, -1.0]), np.array([0.5, 1.0]))
+PLANS = (
+    ({"joints": TWINS}, "CAN id 0x01 is used by more than one motor"),
+    ({"user_limits": NARROW}, "motor 1: position 0 rad is beyond your limit 0.1, at 0.00 s"),
+    ({"model_limits": NARROW}, "position 0 rad is beyond the model's limit 0.1, at 0.00 s; exp"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "message"), PLANS)
+def test_what_is_wrong_with_a_plan_is_said(changes, message):
+    assert texts(plan_checks(swing_plan())) == []
+    assert any(message in text for text in texts(plan_checks(swing_plan(**changes))))
+
+
+def test_a_plan_needs_two_rows():
+    with pytest.raises(InputError, match="needs at least two rows to be played"):
+        Plan(trajectory_of([signal[:1] for signal in swing(2)]))
+
+
+ACCEPTED = PlaySettings(accept_register_limits=True)
+REGISTERS = (
+    ({"TMAX": 20.0}, ACCEPTED, Level.SAYS, "20 but a DM4340 has 12.5, 10, 28: the motor's own"),
+    ({"VMAX": 0.3}, ACCEPTED, Level.REFUSES, "rad/s is beyond its registers' limit 0.3, at"),
+    *(({"TMAX": value}, ACCEPTED, Level.REFUSES, f"10, {value:g} but a DM4340 has 12.5, 10, 28; if")
+      for value in (0.0, np.nan, np.inf)),
+    ({"TIMEOUT": 2e4}, PlaySettings(), Level.SAYS, "watchdog of 1000 ms is long"),
+    ({}, PlaySettings(), Level.REFUSES, "motor 1 does not tell its state; its firmware"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("registers", "settings", "level", "message"), REGISTERS)
+def test_what_is_wrong_with_a_motor_is_said(registers, settings, level, message):
+    bus = MotorBus()
+    right = inspect_bus(bus.link)
+    plan = replace(swing_plan(), settings=settings)
+    assert texts(bus_checks(plan, right)) == []
+    changed = {Register[name]: value for name, value in registers.items()}
+    motor = right.motors[1]
+    feedback = motor.feedback if registers else None
+    registers = {**motor.registers, **changed}
+    right.motors[1] = replace(motor, registers=registers, feedback=feedback)
+    assert any(message in text for text in texts(bus_checks(plan, right), level))
+
+
+@pytest.mark.parametrize(
+    ("accepted", "is_model", "level", "message"),
+    [
+        (False, True, Level.REFUSES, "--joint-map; --accept-directions plays without"),
+        (True, True, Level.SAYS, "mirrored or swapped, they would be played like that"),
+        (
+            False,
+            False,
+            Level.SAYS,
+            "mirrored or swapped, they would be played like that",
+        ),
+    ],
+)
+def test_joints_that_nobody_verified_are_said(accepted, is_model, level, message):
+    plan = replace(swing_plan(), settings=PlaySettings(accept_directions=accepted))
+    holding = SimpleNamespace(unverified_joints=lambda q: [], is_model=is_model)
+    assert list(direction_checks(plan, holding)) == []
+    holding.unverified_joints = lambda q: plan.trajectory.joints[1:]
+    (text,) = texts(direction_checks(plan, holding), level)
+    assert text.startswith("nobody has verified which way motor 2 turn")
+    assert text.endswith(message)
