@@ -17,6 +17,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Limits
 from robot_sysid.records.file_access import refuse_overwriting
 from robot_sysid.records.option_fields import (
+    Check,
     OptionRecord,
     check_speed_factor,
     joint_values,
@@ -29,17 +30,10 @@ from robot_sysid.wording import option_name
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
 
 
-def _stiffness_problem(kp: float) -> str | None:
-    """Return why a frame cannot carry a stiffness [N m/rad], or None."""
-    return None if 0.0 <= kp <= KP_MAX else f"must be from 0 to {KP_MAX:g} N·m/rad"
-
-
-def _damping_problem(kd: float) -> str | None:
-    """Return why a frame cannot carry a damping [N m s/rad], or None."""
-    # Below half a step a frame carries no damping at all, and the motor would ring.
-    if 0.5 * KD_STEP < kd <= KD_MAX:
-        return None
-    return f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N·m·s/rad"
+def _within(least: float, most: float, unit: str) -> Check:
+    """Return the check of a gain that frames can carry from ``least`` to ``most``."""
+    problem = f"must be from {least:.2g} to {most:g} {unit}"
+    return lambda gain: None if least <= gain <= most else problem
 
 
 @dataclass(frozen=True)
@@ -70,14 +64,15 @@ class PlaySettings(OptionRecord):
         (),
         "stiffness, one for all or one per joint",
         "KP [N·m/rad]",
-        check=_stiffness_problem,
+        check=_within(0.0, KP_MAX, "N·m/rad"),
         **_BY_TYPE,
     )
     kd: tuple[float, ...] = option(
         (),
         "damping, one for all or one per joint",
         "KD [N·m·s/rad]",
-        check=_damping_problem,
+        # With less a frame carries no damping at all, and the motor would ring.
+        check=_within(KD_STEP, KD_MAX, "N·m·s/rad"),
         **_BY_TYPE,
     )
     rate: float | None = option(
