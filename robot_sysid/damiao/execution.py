@@ -12,15 +12,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao import preflight
-from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.adapters import BusAddress, open_bus
-from robot_sysid.damiao.bus import (
-    GuardedLink,
-    InspectedMotor,
-    Inspection,
-    SimulatedClock,
-    SystemClock,
-)
+from robot_sysid.damiao.bus import GuardedLink, Inspection, SimulatedClock, SystemClock
 from robot_sysid.damiao.joints import (
     MASTER_ID_OFFSET,
     DamiaoJoint,
@@ -47,6 +40,12 @@ from robot_sysid.damiao.settings import (
     joint_positions,
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
+from robot_sysid.damiao.trajectory import (
+    LIMITS,
+    MODEL_LIMITS,
+    DamiaoTrajectory,
+    read_damiao_trajectory,
+)
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
@@ -57,7 +56,6 @@ from robot_sysid.records.option_fields import (
     given_values,
     joint_values,
     option,
-    options_of,
     options_of_all,
     record_from,
 )
@@ -80,9 +78,7 @@ class ArmFiles(OptionRecord):
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
 """The limits of a run for which the user gives none: 1e6 rad/s stops no motion."""
-LIMIT_OPTIONS = options_of_all(
-    LimitOptions, only=motion.LIMITS, **dict.fromkeys(motion.LIMITS)
-)
+LIMIT_OPTIONS = options_of_all(LimitOptions, only=LIMITS, **dict.fromkeys(LIMITS))
 """Limits of a run; by default only the model limits the motion."""
 RUN_OPTIONS: list[Option] = [
     *options_of_all(
@@ -91,6 +87,8 @@ RUN_OPTIONS: list[Option] = [
     *LIMIT_OPTIONS,
 ]
 """Options of a run."""
+# What an inspection finds where there are no motors.
+_NOTHING = Inspection({}, 0, None)
 
 
 class MotorRun:
@@ -124,59 +122,54 @@ class MotorRun:
         or a recording would replace an input, or another file without --overwrite.
         """
         robot = self.robot
-        for key in (*vars(ModelOptions()), *motion.MODEL_LIMITS):
+        for key in (*vars(ModelOptions()), *MODEL_LIMITS):
             if robot is None and self.values.get(key) is not None:
                 raise InputError(
                     f"{option_name(key)} is about a model; add {option_name('model')}"
                 )
-        trajectory = motion.read_damiao_trajectory(self.values["trajectory"])
+        trajectory = read_damiao_trajectory(self.values["trajectory"])
         if robot is not None and trajectory.n_joints != robot.n_joints:
             raise InputError(
                 f"{trajectory.path} has {trajectory.n_joints} joints but the chain of "
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
-        joints = self._with_joint_map(trajectory.joints)
-        return self._plan_of(replace(trajectory, joints=joints))
+        return self._plan_of(trajectory)
 
-    def standing_plan(self, inspection: Inspection | None = None) -> Plan:
+    def standing_plan(self, inspection: Inspection = _NOTHING) -> Plan:
         """Return the plan that holds the model's arm where an inspection finds it.
 
-        Without an inspection it is that of a simulated arm, in the pose of the options. Positions
-        that are not known are those of the options, too; then a check says what is missing.
+        Positions that are not known are those of the options, as for a simulated arm; for another
+        one a check says what is missing.
 
         InputError where a motor's type is unknown, the files do not fit the model, or a recording
         would replace a file.
         """
         robot = self.robot
+        n = robot.n_joints
         options = record_from(HoldOptions, self.values)
         # A joint has the number of its motor where no joint map says another.
-        numbers = range(1, robot.n_joints + 1)
         joints = self._with_joint_map(
-            [DamiaoJoint("", i, i + MASTER_ID_OFFSET) for i in numbers]
+            [DamiaoJoint("", i, i + MASTER_ID_OFFSET) for i in range(1, n + 1)]
         )
-        motors = inspection.motors if inspection else {}
-        types = options.motor_type or [_stored_type(j, motors) for j in joints]
-        if len(types) == 1:
-            types *= robot.n_joints
-        joints = self._with_joint_map(damiao_joints(types, robot.n_joints))
-        pose = robot.reference_qpos[robot.qpos_index]
-        if options.pose:
-            name = options_of(options)["pose"].name
-            pose = joint_values(options.pose, robot.n_joints, name)
-        if inspection:
-            found = joint_positions(joints, inspection)
-            pose = np.where(np.isfinite(found), found, pose)
+        types = options.motor_type or [_stored_type(j, inspection) for j in joints]
+        types = types * n if len(types) == 1 else types
+        joints = self._with_joint_map(damiao_joints(types, n))
+        pose = joint_values(
+            options.pose or tuple(robot.reference), n, option_name("pose")
+        )
+        positions = joint_positions(joints, inspection)
+        pose = np.where(np.isfinite(positions), positions, pose)
         torque = self._gravity(joints).torque(pose)
         time = np.array([0.0, options.lifetime])
-        still = np.zeros((2, len(pose)))
-        trajectory = motion.DamiaoTrajectory(
+        still = np.zeros((2, n))
+        trajectory = DamiaoTrajectory(
             Path("hold"), joints, time, still + pose, still, still + torque
         )
         # The arm stays where it was inspected.
         return self._plan_of(trajectory, start_tolerance=0.05)
 
-    def _plan_of(self, trajectory: motion.DamiaoTrajectory, **settings: Any) -> Plan:
-        """Return the plan of a trajectory whose joints are mapped; ``settings`` are no options."""
+    def _plan_of(self, trajectory: DamiaoTrajectory, **settings: Any) -> Plan:
+        """Return the plan of a trajectory, with its joints mapped; ``settings`` are no options."""
         robot = self.robot
         mobility = None
         if robot is not None:
@@ -187,17 +180,18 @@ class MotorRun:
         inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
         recording.require_free(*inputs)
         return Plan(
-            trajectory,
+            replace(trajectory, joints=self._with_joint_map(trajectory.joints)),
             settings=replace(record_from(PlaySettings, self.values), **settings),
             timing=self.timing,
             recording=recording,
             mobility=mobility,
-            user_limits=self._limits().limits([False] * trajectory.n_joints),
+            user_limits=self._limits.limits([False] * trajectory.n_joints),
             model_limits=robot and robot.limits,
         )
 
+    @cached_property
     def _limits(self) -> LimitOptions:
-        """Return the user's limits of all motions; a limit that is not given forbids nothing."""
+        """The user's limits of all motions; a limit that is not given forbids nothing."""
         return record_from(LimitOptions, {**vars(NO_LIMITS), **self.values})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
@@ -208,10 +202,8 @@ class MotorRun:
         names = self.robot.joint_names if self.robot else ()
         path = self.values.get("joint_map")
         if path is not None:
-            rows = read_joint_map(Path(path))
-            return map_joints(joints, rows, names)
-        if not names:
-            return tuple(joints)
+            return map_joints(joints, read_joint_map(Path(path)), names)
+        names = names or [""] * len(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
 
     def checks(self, plan: Plan) -> list[Remark]:
@@ -230,7 +222,7 @@ class MotorRun:
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.motion.problem import build_problem
 
-        return build_problem(self.robot, self._limits())
+        return build_problem(self.robot, self._limits)
 
     def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
@@ -316,19 +308,19 @@ class MotorRun:
             yield GuardedLink(link, self.clock, self.timing.fd, refuses)
 
 
-def _stored_type(joint: DamiaoJoint, motors: Mapping[int, InspectedMotor]) -> str:
+def _stored_type(joint: DamiaoJoint, inspection: Inspection) -> str:
     """Return the type of a joint's motor, by the scaling limits in its registers.
 
-    ``motors`` have their CAN ids as keys. InputError unless they are those of exactly one type.
+    InputError unless they are those of exactly one type.
     """
-    motor = motors.get(joint.can_id)
+    motor = inspection.motors.get(joint.can_id)
     types = matching_types(motor.limits) if motor else ()
-    if len(types) != 1:
-        raise InputError(
-            f"{joint.label}: no motor answers whose registers tell its type; check power and ids, "
-            f"or give {option_name('motor_type')}, one for all joints or one per joint, base first"
-        )
-    return types[0]
+    if len(types) == 1:
+        return types[0]
+    raise InputError(
+        f"{joint.label}: no motor answers whose registers tell its type; check power and ids, or "
+        f"give {option_name('motor_type')}, one for all joints or one per joint, base first"
+    )
 
 
 def run(

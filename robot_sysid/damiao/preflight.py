@@ -188,10 +188,10 @@ def motor_checks(
         names = ", ".join(number.name for number in sorted(missing))
         yield stop(f"{name} does not answer for {names}; try again")
         return
-    if {motor.master_id, *motor.reply_ids} != {joint.master_id}:
-        answers = ", ".join(f"{reply:#x}" for reply in sorted(set(motor.reply_ids)))
+    ids = {motor.master_id, *motor.reply_ids}
+    if ids != {joint.master_id}:
         yield stop(
-            f"{name} answers on {answers} (MST_ID {motor.master_id:#x}) but the trajectory expects "
+            f"{name} answers on {', '.join(map(hex, sorted(ids)))} but the trajectory expects "
             f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export again with "
             f"the right {option_name('master_id')}"
         )

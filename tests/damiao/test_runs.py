@@ -135,7 +135,7 @@ WRONG = (
     ({"silent": True}, "motor 10 does not answer"),
     ({"lost_replies": True}, "motor 11 does not answer"),
     ({"status": ENABLED, "TIMEOUT": 6e4}, "motor 12 is enabled already"),
-    ({"MST_ID": 0x21}, "answers on 0x21 (MST_ID 0x21) but the trajectory expects 0x1d"),
+    ({"MST_ID": 0x21}, "answers on 0x21 but the trajectory expects 0x1d"),
     ({"registers": without_mode}, "answer for CTRL_MODE; try again"),
 )
 
