@@ -14,16 +14,22 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+import numpy as np
+
 from robot_sysid.api.keywords import with_keywords
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
-from robot_sysid.damiao.joints import damiao_joints, motor_limits
+from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_playable
-from robot_sysid.damiao.trajectory import LIMITS, export_damiao_trajectory
+from robot_sysid.damiao.trajectory import (
+    LIMITS,
+    export_damiao_trajectory,
+    motor_ratings,
+)
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.pipeline.motors import ArmMotors
-from robot_sysid.records import RobotModel
+from robot_sysid.records import Limits, RobotModel
 from robot_sysid.records.file_access import atomic_files, temporary_folder
 from robot_sysid.records.option_fields import given_values
 
@@ -45,7 +51,9 @@ def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
     types = options.motor_type
     ids = options.can_id, options.master_id
     joints = damiao_joints(types, robot.n_joints, *ids, robot.joint_names)
-    limits = motor_limits(joints, [joint.spec.limits[2] for joint in joints])
+    # No command can exceed what frames carry, either.
+    frames = Limits(torque=np.array([joint.spec.limits[2] for joint in joints]))
+    limits = Limits.of(motor_ratings(joints)[0].limits, frames)
 
     def write(chunks: Iterable[MotionChunk], file: TextIO) -> list[str]:
         """Write a motion, clamped to what frames can carry; return the share that was clamped."""

@@ -90,15 +90,6 @@ def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
     return np.array([joint.spec.peak_torque for joint in joints])
 
 
-def motor_limits(
-    joints: Sequence[DamiaoJoint], tmax: Sequence[float] | Array
-) -> Limits:
-    """Return the limits of n joints' motors: the peak torque, or TMAX (n,) of their frames [N m] if
-    that is less, for no command can exceed it.
-    """
-    return Limits(torque=np.minimum(peak_torques(joints), tmax))
-
-
 def matching_types(limits: Sequence[float]) -> tuple[str, ...]:
     """Return the names of all motor types whose factory limits agree with given limits.
 

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.joints import DamiaoJoint, Mounting, motor_limits
+from robot_sysid.damiao.joints import DamiaoJoint, Mounting, peak_torques
 from robot_sysid.damiao.protocol import (
     DISABLE,
     ENABLE,
@@ -154,7 +154,7 @@ class MotorSession:
         self._mounting = Mounting.of(joints)
         self.steps = scaling.steps
         self._frames = self._mounting.frame_limits(scaling.limits)
-        motors = motor_limits(joints, self._frames.torque)
+        motors = Limits(torque=peak_torques(joints))
         # In a stop commands are limited to these, which must not exceed what frames can carry.
         self.limits = Limits.of(limits, motors, self._frames)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()

@@ -24,7 +24,13 @@ from typing import TYPE_CHECKING, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.joints import MASTER_ID_OFFSET, RPM, DamiaoJoint, motor_spec
+from robot_sysid.damiao.joints import (
+    MASTER_ID_OFFSET,
+    RPM,
+    DamiaoJoint,
+    motor_spec,
+    peak_torques,
+)
 from robot_sysid.errors import InputError
 from robot_sysid.records import LIMITED, Array, Limits
 from robot_sysid.records.file_access import read_text
@@ -306,11 +312,9 @@ class StatedLimits(NamedTuple):
 
 def motor_ratings(joints: Sequence[DamiaoJoint]) -> tuple[StatedLimits, StatedLimits]:
     """Return what the motors of n joints can do at most, and what they can do for long."""
-    specs = [joint.spec for joint in joints]
-    no_load = RPM * np.array([spec.no_load_rpm or np.inf for spec in specs])
-    peak = np.array([spec.peak_torque for spec in specs])
-    rated = np.array([spec.rated_torque for spec in specs])
-    most = Limits(velocity=no_load, torque=peak)
+    no_load = RPM * np.array([joint.spec.no_load_rpm or np.inf for joint in joints])
+    rated = np.array([joint.spec.rated_torque for joint in joints])
+    most = Limits(velocity=no_load, torque=peak_torques(joints))
     smaller = f"{CANNOT_FOLLOW}: plan a smaller or slower motion"
     heat = "it gets too hot if that lasts"
     return (

@@ -56,6 +56,14 @@ def test_motors_of_another_number_of_joints_are_refused(robot):
     assert draft_motor_file(PlanConfig(), robot, None, None, None) == ((), [])
 
 
+def test_a_plan_keeps_what_motors_and_their_frames_can_do(robot):
+    """A DM4340 turns at 52 rpm without load; the frames of a DMS3519 carry 2 of its 7.8 N·m."""
+    options = MotorOptions(export_damiao=True, motor_type=("DM4340", "DMS3519"))
+    limits = arm_motors(options, robot).limits
+    assert limits.velocity == pytest.approx([52 * 2 * np.pi / 60, np.inf])
+    assert limits.torque.tolist() == [27.0, 2.0]
+
+
 def still():
     """A motion of two joints that stand still."""
     return SineTrajectory(*np.zeros((1, 2)), *np.zeros((3, 2, 1)), 4.0, fade=1.0)
