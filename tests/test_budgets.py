@@ -32,9 +32,9 @@ BUDGETS = {
     "robot_sysid/results": 11013,
     "robot_sysid/servo": 7031,
     "robot_sysid/signals": 5296,
-    "robot_sysid/simulation": 3600,
+    "robot_sysid/simulation": 3715,
     "robot_sysid": 11132,
-    "tests": 232304,
+    "tests": 233028,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -2,6 +2,7 @@
 
 import copy
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -191,6 +192,73 @@ def test_steps_of_any_length_add_up():
         cut.step(torque, damping, 7e-4)
     tolerance = 2e-3 * np.max(np.abs(uncut.qd))
     np.testing.assert_allclose(cut.qd, uncut.qd, rtol=0.0, atol=tolerance)
+
+
+def energies(robot, states):
+    """Kinetic and potential energy [J] of states (N, 2, n) of an arm (N,)."""
+    model = forward_model(robot)
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data = mujoco.MjData(model)
+    sums = []
+    for data.qpos[:], data.qvel[:] in states:
+        mujoco.mj_forward(model, data)
+        sums.append(np.sum(data.energy))
+    return np.array(sums)
+
+
+@pytest.mark.parametrize("timestep", [1e-3, 4e-3])
+def test_a_falling_arm_ends_at_its_stops_and_gains_no_energy(timestep):
+    """Its joints stay in their ranges, and a blow at one stop makes no other joint faster than
+    energy allows. What free motion gains by rounding of second order is far less.
+    """
+    joint = 'range="-.4 .5" damping=".2" armature=".002"'
+    robot = robot_of(serial_arm((Y, X, Y), joint=joint))
+    rng = np.random.default_rng(0)
+    arm = ArmStepper(robot, np.array([0.3, 0.1, -0.2]), timestep)
+    states = []
+    for _ in range(round(1.5 / timestep)):
+        arm.step(np.zeros(3), np.zeros(3), timestep * rng.uniform(0.1, 1.0))
+        states.append((arm.q, arm.qd))
+    positions = np.array(states)[:, 0]
+    assert np.min(positions) >= -0.4 and np.max(positions) <= 0.5
+    at_ends = np.isclose(positions, -0.4) | np.isclose(positions, 0.5)
+    assert np.sum(np.any(at_ends, axis=0)) > 1
+    sums = energies(robot, states)
+    assert np.max(np.diff(sums)) < 1e-5 * np.ptp(sums)
+
+
+def test_stops_change_nothing_within_the_range():
+    wide = robot_of(serial_arm((Z, Y, X), joint='frictionloss=".1"'))
+    limited = robot_of(serial_arm((Z, Y, X), joint='frictionloss=".1" range="-.3 .3"'))
+    states = []
+    for robot in (wide, limited):
+        arm = ArmStepper(robot, np.zeros(3))
+        torques = 3.0 * np.sin(np.arange(400)[:, None] / 15.0 + np.arange(3))
+        states.append([(arm.step(t, np.ones(3)), arm.q, arm.qd) for t in torques])
+    np.testing.assert_array_equal(*states)
+    assert 0.02 < np.max(np.abs(states[0])[:, 1]) < 0.3
+
+
+def test_a_stop_pushes_and_does_not_pull():
+    """A joint that is pressed against its stop stands there, and leaves as if there were none."""
+    robot = robot_of(serial_arm((Z, Y), joint='range="-.3 .3" armature=".1"'))
+    pressed = ArmStepper(robot, np.array([0.2, 0.0]))
+    for _ in range(1000):
+        pressed.step(np.array([8.0, 0.0]), np.full(2, 5.0))
+    assert pressed.q[0] == pytest.approx(0.3, abs=1e-4) and pressed.qd[0] == 0.0
+    free = ArmStepper(robot_of(serial_arm((Z, Y), joint='armature=".1"')), pressed.q)
+    free.qd = pressed.qd
+    for arm in (pressed, free):
+        push(arm, -3.0, 0.1)
+    np.testing.assert_allclose(pressed.q, free.q, rtol=0.0, atol=1e-6)
+    assert pressed.q[0] < 0.25
+
+
+def test_an_arm_that_begins_beyond_its_range_is_not_thrown_back():
+    robot = robot_of(serial_arm((Z,), joint='range="-.3 .3" armature=".1"'))
+    arm = ArmStepper(robot, np.array([0.5]))
+    push(arm, 1.0, 0.1)
+    assert (arm.q, arm.qd) == (0.5, 0.0)
 
 
 WRIST = (
