@@ -16,12 +16,7 @@ from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
 from robot_sysid.damiao.settings import Plan, joint_positions
-from robot_sysid.damiao.trajectory import (
-    StatedLimits,
-    limit_remarks,
-    motor_ratings,
-    velocity_mismatch,
-)
+from robot_sysid.damiao.trajectory import StatedLimits, limit_remarks, motor_ratings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records.messages import Level, Remark
 from robot_sysid.wording import option_name
@@ -51,8 +46,8 @@ def require_playable(checks: Sequence[Remark]) -> None:
 def plan_checks(plan: Plan) -> Iterator[Remark]:
     """Yield the checks of a plan that need no bus.
 
-    They compare ids, speed at the ends, velocities with positions, bus load, and the motion with
-    the limits of the motors, the model's joints and the user.
+    They compare ids, speed at the ends, bus load, and the motion with the limits of the motors, the
+    model's joints and the user.
     """
     trajectory = plan.trajectory
     joints = trajectory.joints
@@ -66,15 +61,6 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
             f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
             "rest"
         )
-    mismatch = velocity_mismatch(trajectory)
-    if mismatch is not None:
-        row, joint, error = mismatch
-        yield stop(
-            f"from {trajectory.time[row]:g} s on, positions of {joints[joint].label} "
-            f"change by {error:.4g} rad/s more than its velocities say; export the file again, "
-            "with at least four decimals"
-        )
-
     timing = plan.timing
     limit = protocol.PLANNING_LIMIT
     load = protocol.bus_load(len(joints), 1.0 / settings.period, timing)

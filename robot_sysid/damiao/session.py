@@ -154,9 +154,9 @@ class MotorSession:
         self._mounting = Mounting.of(joints)
         self.steps = scaling.steps
         self._frames = self._mounting.frame_limits(scaling.limits)
-        motors = Limits(torque=peak_torques(joints))
+        peaks = Limits(torque=peak_torques(joints))
         # In a stop commands are limited to these, which must not exceed what frames can carry.
-        self.limits = Limits.of(limits, motors, self._frames)
+        self.limits = Limits.of(limits, peaks, self._frames)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: MitCommand | None = None

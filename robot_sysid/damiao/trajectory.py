@@ -159,6 +159,7 @@ def export_damiao_trajectory(
     peaks: list[tuple[Array, Array]] = []
     # Milliseconds where all times of the first chunk are whole ones, else microseconds.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
+    formats = [f"%.{decimals}f"] + ["%.4f"] * (3 * len(joints))
     file.write(_head(joints))
     for chunk in chain([first], chunks):
         # Position, velocity and torque (3, N, n).
@@ -170,7 +171,10 @@ def export_damiao_trajectory(
         rows = np.unique(np.abs(signals).argmax(axis=1))
         peaks.append((chunk[0][rows], signals[:, rows]))
         n_rows += len(chunk[0])
-        file.write(_rows(chunk[0], clamped, decimals))
+        cells = clamped.transpose(1, 2, 0).reshape(len(chunk[0]), -1)
+        # Adding zero turns the -0.0 that rounding leaves into 0.0.
+        table = np.column_stack([chunk[0], np.round(cells, 4) + 0.0])
+        np.savetxt(file, table, formats, delimiter=",")
     percent = 100.0 * n_clamped / n_rows
     warnings = []
     for joint, share in zip(joints, percent):
@@ -206,18 +210,6 @@ def trajectory_columns(n_joints: int) -> list[str]:
     return columns
 
 
-def _rows(time: Array, values: Array, decimals: int) -> str:
-    """Return the file's lines of positions, velocities and torques (3, N, n) at times (N,) [s].
-
-    Times have ``decimals`` decimals, all other numbers four.
-    """
-    # Adding zero turns the -0.0 that rounding leaves into 0.0.
-    cells = np.round(values.transpose(1, 2, 0).reshape(len(time), -1), 4) + 0.0
-    # One format for all rows at once, because a loop over rows is slow.
-    row = ",".join([f"%.{decimals}f"] + ["%.4f"] * cells.shape[1]) + "\n"
-    return (row * len(time)) % tuple(np.column_stack([time, cells]).ravel())
-
-
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     """Return the trajectory in a file.
 
@@ -232,25 +224,23 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         for number, line in enumerate(comments, start=1)
         if "motor_type" in line
     )
-    n = len(joints)
-    if n == 0 or len(comments) == len(lines):
-        raise InputError(
-            f"{path} has no '# motor_type=...' lines, or no column line below them; it is not a "
-            "Damiao trajectory"
-        )
     title_number = len(comments) + 1
-    titles = [title.strip() for title in lines[len(comments)].split(",")]
-    if titles != ["time", *trajectory_columns(n)]:
+    if not joints or len(lines) <= title_number:
+        raise InputError(
+            f"{path} has no '# motor_type=...' lines, or no column line and rows below them; it "
+            "is not a Damiao trajectory"
+        )
+    titles = ["time", *trajectory_columns(len(joints))]
+    if [title.strip() for title in lines[len(comments)].split(",")] != titles:
         raise InputError(
             f"{path}, line {title_number}: expected the columns time,j0_pos,j0_vel,j0_tau,... for "
-            f"{n} joints"
+            f"{len(joints)} joints"
         )
-    rows = [line for line in lines[title_number:] if line.strip()]
     try:
-        table = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.empty((0, 1))
+        table = np.loadtxt(lines, delimiter=",", skiprows=title_number, ndmin=2)
     except ValueError as error:
         raise InputError(f"{path}, below line {title_number}: {error}") from None
-    if rows and table.shape[1] != len(titles) or not np.all(np.isfinite(table)):
+    if table.shape[1] != len(titles) or not np.all(np.isfinite(table)):
         raise InputError(
             f"{path}, below line {title_number}: expected {len(titles)} finite numbers per line"
         )
@@ -359,30 +349,3 @@ def limit_remarks(
                     f"{LIMITED[use.quantity]} is beyond {owner.format(joint=joint)} "
                     f"{use.middle + use.limit:g}, at {use.time:.2f} s; {remedy}",
                 )
-
-
-def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:
-    """Return the first row and the joint of a window over which velocities do not add up to the
-    change of position, and by how much they are off [rad/s]; None where there is no such window.
-
-    A motor is commanded both; where they disagree it follows neither. Velocities may be those of
-    half a row earlier or later, as a difference quotient has them, and each printed number is
-    rounded by ``ROUNDING``.
-    """
-    time = trajectory.time
-    step = np.diff(time)[:, None]
-    qd = trajectory.qd
-    # Number of rows, at least four, from the begin of a window to its end; a shorter file has one.
-    # Over 0.1 s, 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
-    rows = min(max(round(0.1 / np.median(step)), 4), len(time) - 1)
-    integral, doubt = np.zeros((2, *qd.shape))
-    integral[1:] = np.cumsum(0.5 * (qd[1:] + qd[:-1]) * step, axis=0)
-    # Half a row, and a fifth more.
-    doubt[1:] = 0.6 * np.cumsum(np.abs(np.diff(qd, axis=0)) * step, axis=0)
-    drift = trajectory.q - integral
-    duration = (time[rows:] - time[:-rows])[:, None]
-    difference = drift[rows:] - drift[:-rows]
-    tolerance = doubt[rows:] - doubt[:-rows] + ROUNDING * (4.0 + duration)
-    for k, j in np.argwhere(np.abs(difference) > tolerance)[:1]:
-        return k, j, difference[k, j] / duration[k, 0]
-    return None

@@ -212,7 +212,6 @@ def extra(*joint):
         ({"max_temperature": 30.0}, "is at 31 deg C, above 30"),
         ({"faults": [lambda run: run.stop("asked before")]}, "asked before"),
         ({"rate": 3000.0}, "use --rate 250"),
-        ({"motion": changed_swing(qd=1.0 - 2.0 * SECOND)}, "of motor 2 change by"),
     ],
 )
 def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(rig, options, message):

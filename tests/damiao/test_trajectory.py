@@ -102,7 +102,7 @@ GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no column line"),
+        ("", "no column line and rows"),
         ("time,j0_pos,j0_vel,j0_tau\n0,0,0,0\n", "no '# motor_type=...' lines"),
         (
             "# motor_type=DM1,can_id=1,mode=MIT\n",
@@ -111,7 +111,8 @@ GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
         ("# motor_type=DM4340,can_id=x,mode=MIT\n", "line 1: expected"),
         ("# motor_type=DM4340,mode=MIT\n", "line 1: expected"),
         ("# motor_type=DM4340,can_id=1,mode=VEL\n", "line 1: expected"),
-        (GOOD.replace("j0_tau", "j0_torque"), "line 2: expected the columns"),
+        (GOOD, "no column line and rows"),
+        (GOOD.replace("tau", "torque") + "0,0,0,0\n", "line 2: expected the columns"),
         (GOOD + "0,0,0,0\n1,2,x,4\n", "below line 2: could not convert string"),
         (GOOD + "0,0,0,0\n1,2,3\n", "below line 2: .* columns"),
         (GOOD + "0,0,0\n1,2,4\n", "below line 2: expected 4 finite numbers"),
