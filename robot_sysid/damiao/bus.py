@@ -220,10 +220,10 @@ class RegisterClient:
         data = np.frombuffer(frame.data, np.uint8)
         return decode_feedback(data[None], Scaling([motor.limits]))
 
-    def seconds_to_refresh(self, reply_ids: Mapping[int, int]) -> float | None:
+    def seconds_to_refresh(self, reply_ids: Mapping[int, int]) -> float:
         """Return the time until all motors, requested at once, have answered [s].
 
-        ``reply_ids`` are the motors' reply ids by CAN id. None if one does not answer within 0.1 s.
+        ``reply_ids`` are the motors' reply ids by CAN id. NaN if one does not answer within 0.1 s.
         Frames that have come earlier are discarded.
         """
         self.link.drain()
@@ -235,7 +235,7 @@ class RegisterClient:
             # Later answers are useless to a control loop.
             frame = self.link.receive(start + 0.1)
             if frame is None:
-                return None
+                return np.nan
             if not frame.echo:
                 missing.discard(frame.id)
         return self.link.clock.now() - start
@@ -317,13 +317,12 @@ class Inspection:
         motors: answers of each motor by its CAN id, in ascending order.
         unsolicited: number of frames that came within 0.05 s before anything was requested.
         round_trip: 90th percentile of the time in which all motors, requested at once, answer [s];
-            None where half of the attempts, or more, ended without some motor's answer, or a
-            motor's state is unknown.
+            NaN where more than a tenth ended without some motor's answer, or a state is unknown.
     """
 
     motors: Mapping[int, InspectedMotor]
     unsolicited: int
-    round_trip: float | None
+    round_trip: float
 
 
 def inspect_bus(link: GuardedLink) -> Inspection:
@@ -347,13 +346,12 @@ def inspect_bus(link: GuardedLink) -> Inspection:
             registers = {int(k): value for k, value in values if value is not None}
             motor = InspectedMotor(can_id, reply_ids, registers, feedback=None)
             motors[can_id] = replace(motor, feedback=client.state_of(motor))
-    round_trip = None
+    round_trip = np.nan
     if all(motor.feedback for motor in motors.values()):
         # Measured under the conditions of a run, for which the time matters.
         first_ids = {can_id: motor.reply_ids[0] for can_id, motor in motors.items()}
         with undisturbed_processor(live=link.clock.live):
-            attempts = [client.seconds_to_refresh(first_ids) for _ in range(20)]
-        times = [seconds for seconds in attempts if seconds is not None]
-        if len(times) > len(attempts) // 2:
-            round_trip = np.percentile(times, 90.0)
+            times = [client.seconds_to_refresh(first_ids) for _ in range(20)]
+        # NaN comes last.
+        round_trip = np.sort(times)[17]
     return Inspection(motors, unsolicited, round_trip)

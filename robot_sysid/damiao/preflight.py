@@ -126,7 +126,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
 
     # Time from the commands to the last answer [s].
     round_trip = inspection.round_trip
-    if round_trip is not None and round_trip > REPLY_SHARE * settings.period:
+    if round_trip > REPLY_SHARE * settings.period:
         rate = protocol.handy_rate(REPLY_SHARE / round_trip)
         yield stop(
             f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "

@@ -217,34 +217,31 @@ class MotorSession:
         """Enable every motor and return the joint positions (n,) [rad].
 
         The sample filter starts from these positions, and the bounds of commands are widened to
-        include them. HardwareAbort where a motor has a fault, does not answer, or two answers
-        disagree about its position.
+        include them. HardwareAbort where, after three commands, a motor has a fault or has not said
+        that it is enabled where it was before.
         """
         # From here on every motor may be enabled.
         self.unconfirmed = self.joints
         # The state of all motors before the first one is enabled.
         state = self._request(partial(register_frame, REFRESH))
-        is_enabled = np.zeros(self.n_joints, bool)
         position = state.position
+        is_enabled = np.zeros(self.n_joints, bool)
         for _ in range(3):
-            last = state
+            last_status = state.status
             state = self._request(partial(special_frame, ENABLE))
             # The arm is not driven yet.
-            agree = np.abs(state.position - last.position) <= 0.02
-            is_enabled |= (state.status == ENABLED) & agree
-            position = np.where(agree, state.position, position)
+            agrees = np.abs(state.position - position) <= 0.02
+            is_settled = is_enabled | np.isnan(state.position)
+            position = np.where(is_settled, position, state.position)
+            is_enabled |= (state.status == ENABLED) & agrees
             # One report of a fault may be a damaged frame; two equal ones are the motor's own.
-            has_fault = (state.status > ENABLED) & (state.status == last.status)
+            has_fault = (state.status > ENABLED) & (state.status == last_status)
             if np.all(is_enabled) or np.any(has_fault):
                 break
         for j in np.flatnonzero(~is_enabled)[:1]:
-            code = state.status[j]
-            reason = "no answer" if code == NO_STATUS else status_text(code)
-            if code == ENABLED:
-                reason = (
-                    f"its answers disagree, {last.position[j]:.3f} and "
-                    f"{state.position[j]:.3f} rad"
-                )
+            reason = "its answers are missing or disagree about its position"
+            if state.status[j] not in (ENABLED, NO_STATUS):
+                reason = status_text(state.status[j])
             raise HardwareAbort(f"{self.joints[j].label} did not enable: {reason}")
         now = self.clock.now()
         self._filter.start(now, position)

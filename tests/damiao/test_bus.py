@@ -15,23 +15,17 @@ from robot_sysid.damiao.bus import undisturbed_processor
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
 
 
-class Scheduler:
-    """Stands for the system's scheduler; ``policies`` and ``priorities`` are by thread."""
-
-    def __init__(self, monkeypatch, is_allowed=True, policy=0):
-        self.is_allowed = is_allowed
-        self.schedules = {}
-        self.first_policy = policy
-        monkeypatch.setattr(os, "sched_getscheduler", self.policy)
-        monkeypatch.setattr(os, "sched_setscheduler", self.schedule)
-
-    def policy(self, thread_id):
-        return self.schedules.get(thread_id, (self.first_policy, 0))[0]
-
-    def schedule(self, thread_id, policy, parameters):
-        if not self.is_allowed:
-            raise PermissionError(1, "Operation not permitted")
-        self.schedules[thread_id] = policy, parameters.sched_priority
+@pytest.fixture
+def schedules(monkeypatch):
+    """Policy and priority that the system's scheduler was told, by thread."""
+    told = {}
+    monkeypatch.setattr(os, "sched_getscheduler", lambda _: os.SCHED_OTHER)
+    monkeypatch.setattr(
+        os,
+        "sched_setscheduler",
+        lambda thread, policy, p: told.update({thread: (policy, p.sched_priority)}),
+    )
+    return told
 
 
 @contextlib.contextmanager
@@ -48,47 +42,41 @@ def waiting_thread():
 
 
 @LINUX
-def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(
-    monkeypatch,
-):
-    scheduler = Scheduler(monkeypatch)
-    with waiting_thread() as other, undisturbed_processor():
-        own_policy, own_priority = scheduler.schedules[threading.get_native_id()]
-        policy, priority = scheduler.schedules[other]
-        assert own_policy == policy == os.SCHED_FIFO
-        # The kernel's own threads have a priority of 50.
-        assert 0 < priority < own_priority < 50
-
-
-@LINUX
 @pytest.mark.parametrize("error", [None, ValueError, KeyboardInterrupt, SystemExit])
-def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
-    scheduler = Scheduler(monkeypatch)
+def test_priority_is_given_back_on_every_way_out(schedules, error):
+    """The loop goes before the other threads, and these before other programs."""
     expected = pytest.raises(error) if error else contextlib.nullcontext()
+    own = threading.get_native_id()
     with contextlib.ExitStack() as stack:
         earlier = stack.enter_context(waiting_thread())
         with expected, undisturbed_processor():
+            assert not gc.isenabled()
             # It inherits the loop's priority.
             later = stack.enter_context(waiting_thread())
+            assert schedules[own][0] == schedules[earlier][0] == os.SCHED_FIFO
+            # The kernel's own threads have a priority of 50.
+            assert 0 < schedules[earlier][1] < schedules[own][1] < 50
             if error:
                 raise error
-        for thread_id in (threading.get_native_id(), earlier, later):
-            assert scheduler.schedules[thread_id] == (os.SCHED_OTHER, 0)
+        assert gc.isenabled()
+        for thread_id in (own, earlier, later):
+            assert schedules[thread_id] == (os.SCHED_OTHER, 0)
 
 
 @LINUX
-def test_a_user_without_the_right_goes_on_without(monkeypatch):
-    scheduler = Scheduler(monkeypatch, is_allowed=False)
+def test_a_user_without_the_right_goes_on_without(schedules, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with undisturbed_processor():
         assert not gc.isenabled()
     assert gc.isenabled()
-    assert scheduler.schedules == {}
 
 
 @LINUX
-def test_simulated_time_takes_no_priority(monkeypatch):
+def test_simulated_time_takes_no_priority(schedules):
     """It never waits, and would keep a processor for itself."""
-    scheduler = Scheduler(monkeypatch)
     with undisturbed_processor(live=False):
         assert not gc.isenabled()
-    assert scheduler.schedules == {}
+    assert schedules == {}

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 from rigs.damiao_rig import mit_command
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import (
     KD_MAX,
-    KP_MAX,
     READ,
     REGISTER_ID,
     CanFrame,
@@ -22,19 +21,17 @@ from robot_sysid.damiao.protocol import (
     bytes_from_value,
     decode_feedback,
     decode_mit,
+    encode_feedback,
     encode_mit,
     register_frame,
     special_frame,
     value_from_bytes,
 )
-from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import InputError, SysidError
 
 TYPES = sorted(MOTORS)
 TYPE_LISTS = st.lists(st.sampled_from(TYPES), min_size=1, max_size=6)
 SEEDS = st.integers(0, 2**32 - 1)
-FIELDS = ("position", "velocity", "kp", "kd", "torque")
-KP_STEP = KP_MAX / 4095
 KD_STEP = KD_MAX / 4095
 
 
@@ -52,127 +49,93 @@ def refusal(*arguments):
 @pytest.mark.parametrize(
     ("values", "limits", "expected"),
     [
-        ((0, 0, 0, 0, 0), (12.5, 30, 10), "80 00 80 00 00 00 08 00"),
         ((1.0, 2.0, 20, 1, 0.5), (12.5, 30, 10), "8A 3D 88 80 A4 33 38 66"),
         ((-0.7854, -1.5, 240, 3, -6.25), (12.5, 10, 28), "77 F5 6C C7 AE 99 96 36"),
     ],
 )
 def test_known_commands_have_known_bytes(values, limits, expected):
-    assert encode_mit(
-        mit_command(*values), Scaling([limits])
-    ).tobytes() == bytes.fromhex(expected)
+    frame = encode_mit(mit_command(*values), Scaling([limits]))
+    assert frame.tobytes() == bytes.fromhex(expected)
 
 
-@pytest.mark.parametrize(
-    ("limits", "p", "v", "t"),
-    [
-        ((12.5, 10, 28), 1.08701, -0.21734, 1.40171),
-        ((12.5, 30, 10), 1.08701, -0.65201, 0.50061),
-    ],
-)
-def test_known_feedback_has_known_values(limits, p, v, t):
+def test_known_feedback_has_known_values():
     frame = np.frombuffer(bytes.fromhex("138B217D3866231F"), dtype=np.uint8)[None]
-    scaling = Scaling([limits])
-    feedback = decode_feedback(frame, scaling)
-    assert feedback.status[0] == 1
-    measured = feedback.position, feedback.velocity, feedback.torque
+    scaling = Scaling([(12.5, 10, 28)])
+    status, *measured, mos, rotor = vars(decode_feedback(frame, scaling)).values()
     codes = np.subtract(measured, 0.5 * np.array(scaling.steps))
-    np.testing.assert_allclose(codes[:, 0], (p, v, t), atol=5e-6)
-    assert (feedback.temperature_mos[0], feedback.temperature_rotor[0]) == (35, 31)
+    np.testing.assert_allclose(codes[:, 0], (1.08701, -0.21734, 1.40171), atol=5e-6)
+    assert (status, mos, rotor) == (1, 35, 31)
 
 
 @given(names=TYPE_LISTS, seed=SEEDS, shape=st.lists(st.integers(0, 3), max_size=2))
 def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
-    """As a whole trajectory or one by one, each joint in the scaling of its own type."""
-    rng = np.random.default_rng(seed)
-    n = len(names)
+    """As a whole trajectory or joint by joint, each in the scaling of its own type."""
     scaling = scaling_of(*names)
-    p, v, t = (
-        rng.uniform(-0.8, 0.8, (*shape, n)) * limit for limit in scaling.limits.T
-    )
-    kp = rng.uniform(0.0, KP_MAX, (*shape, n))
-    kd = rng.uniform(0.01, KD_MAX, (*shape, n))
-    frames = encode_mit(MitCommand(p, v, kp, kd, t), scaling)
-    assert frames.shape == (*shape, n, 8)
-    back = decode_mit(frames, scaling)
-    position, velocity, torque = scaling.steps
-    steps = position, velocity, KP_STEP, KD_STEP, torque
-    for sent, came, step in zip((p, v, kp, kd, t), back, steps):
-        assert np.all(np.abs(came - sent) <= 0.5 * step * (1 + 1e-9))
-    for index in np.ndindex(*shape):
-        for j, name in enumerate(names):
-            at = (*index, j)
-            alone = encode_mit(
-                mit_command(p[at], v[at], kp[at], kd[at], t[at]), scaling_of(name)
-            )
-            assert alone[0].tobytes() == frames[at].tobytes()
+    share = np.random.default_rng(seed).uniform(0.01, 0.99, (5, *shape, len(names)))
+    sent = scaling.low.T.reshape(5, *[1] * len(shape), -1)
+    sent = sent + share * (scaling.high - scaling.low).T.reshape(sent.shape)
+    frames = encode_mit(MitCommand(*sent), scaling)
+    for error, step in zip(decode_mit(frames, scaling) - sent, scaling.command.steps.T):
+        assert np.all(np.abs(error) <= 0.5 * step * (1 + 1e-9))
+    for j, name in enumerate(names):
+        alone = encode_mit(MitCommand(*sent[..., [j]]), scaling_of(name))
+        np.testing.assert_array_equal(alone, frames[..., [j], :])
 
 
 @given(names=TYPE_LISTS, seed=SEEDS)
 def test_feedback_survives_within_half_a_step(names, seed):
     """A motor drops the fraction, and says its limit where the truth is beyond it."""
-    rng = np.random.default_rng(seed)
     scaling = scaling_of(*names)
-    truth = rng.uniform(-1.3, 1.3, (3, len(names))) * scaling.limits.T
-    joints = damiao_joints(names, len(names))
-    packed = [
-        simulated_motor(joint, 0.1)._pack(*sample)
-        for joint, sample in zip(joints, truth.T)
-    ]
-    frames = np.array([list(data) for data in packed], np.uint8)
+    limits = scaling.limits.T
+    truth = np.random.default_rng(seed).uniform(-1.3, 1.3, limits.shape) * limits
+    codes = np.zeros((len(names), 2))
+    frames = encode_feedback(np.hstack([codes, truth.T, codes]), scaling)
     feedback = decode_feedback(frames, scaling)
-    inside = np.clip(truth, -scaling.limits.T, scaling.limits.T)
-    for field, value, step in zip(
-        ("position", "velocity", "torque"), inside, scaling.steps
-    ):
-        error = np.abs(value - getattr(feedback, field))
-        assert np.all(error <= 0.5 * step * (1 + 1e-9))
+    measured = np.array([feedback.position, feedback.velocity, feedback.torque])
+    error = np.abs(np.clip(truth, -limits, limits) - measured)
+    assert np.all(error <= 0.5 * np.array(scaling.steps) * (1 + 1e-9))
 
 
-@pytest.mark.parametrize("field", FIELDS)
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, sign):
+@pytest.mark.parametrize("field", range(5))
+@pytest.mark.parametrize(("end", "sign"), [("low", -1.0), ("high", 1.0)])
+def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, end, sign):
     """Registers hold float32; what is sent is the limit."""
-    limits = dict(zip(FIELDS, (12.5, 0.3, KP_MAX, KD_MAX, 28.0)))
     scaling = Scaling([(12.5, 0.3, 28.0)])
-    values = dict(zip(FIELDS, (0.0, 0.0, 0.0, 1.0, 0.0)))
-    low = 0.0 if field in ("kp", "kd") else -limits[field]
-    exact = values | {field: limits[field] if sign > 0 else low}
-    almost, beyond = (
-        values | {field: exact[field] + sign * share * limits[field]}
-        for share in (0.9e-6, 1.1e-6)
+    limit = getattr(scaling, end)[0, field]
+    millionth = sign * 1e-6 * scaling.high[0, field]
+
+    def command(value):
+        values = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+        values[field] = value
+        return mit_command(*values)
+
+    at_limit, almost = (
+        encode_mit(command(limit + share * millionth), scaling) for share in (0.0, 0.9)
     )
-    frames = [encode_mit(mit_command(**v), scaling).tobytes() for v in (exact, almost)]
-    assert frames[0] == frames[1]
-    assert f"{field} " in refusal(mit_command(**beyond), scaling)
-    for limit_value in (np.nan, np.inf):
-        assert field in refusal(mit_command(**{**values, field: limit_value}), scaling)
+    np.testing.assert_array_equal(almost, at_limit)
+    for value in (limit + 1.1 * millionth, np.nan, np.inf):
+        assert f"{MitCommand._fields[field]} " in refusal(command(value), scaling)
 
 
-def test_stiffness_without_damping_is_refused():
-    damping = np.array([[1.0, 1.0], [1.0, 0.0]])
-    shaky = mit_command(0.0, 0.0, 10.0, damping)
-    assert refusal(shaky, scaling_of("DM4340", "DM4310")) == (
-        "the command of motor number 2 has kp > 0, which needs kd of at least 0.0012"
-    )
-    # The least that a frame carries will do; the nearest code to anything below half of it is 0.
-    encode_mit(mit_command(0, 0, 10, 0.51 * KD_STEP, 0), scaling_of("DM4340"))
-    refusal(mit_command(0, 0, 10, 0.49 * KD_STEP, 0), scaling_of("DM4340"))
-    refusal(mit_command(0, 0, 1e-9, 0, 0), scaling_of("DM4340"))
-    encode_mit(mit_command(0, 0, 0, 0, 0), scaling_of("DM4340"))
-
-
-@pytest.mark.parametrize("share", [0.876, 1.0])
-def test_a_command_that_looks_like_a_special_frame_is_refused_by_the_motors_number(
-    share,
-):
-    commands = MitCommand(
-        *np.array([[0, 0, 1, 1, 0], [12.5, 10, 500, 5, 28 * share]], float).T
-    )
-    assert refusal(commands, scaling_of("DM4310", "DM4340")) == (
-        "the command of motor number 2 would read as a special frame; lower its gains or "
-        "torque"
-    )
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((0, 0, 10, 0.51 * KD_STEP, 0), None),
+        ((0, 0, 10, 0.49 * KD_STEP, 0), "has kp > 0, which needs kd of at least 0.0012"),
+        ((0, 0, 1e-9, 0, 0), "has kp > 0"),
+        ((0, 0, 0, 0, 0), None),
+        ((12.5, 10, 500, 5, 28), "would read as a special frame; lower its gains or torque"),
+        ((12.5, 10, 500, 5, 28 * 0.876), "would read as a special frame"),
+    ],
+)  # fmt: skip
+def test_what_a_motor_must_not_be_told_is_refused_by_its_number(values, message):
+    """A kd below half a step is none."""
+    commands = MitCommand(*np.array([[0, 0, 1, 1, 0], values], float).T)
+    scaling = scaling_of("DM4310", "DM4340")
+    if message is None:
+        encode_mit(commands, scaling)
+    else:
+        assert f"the command of motor number 2 {message}" in refusal(commands, scaling)
 
 
 @pytest.mark.parametrize("limit_value", [0.0, -12.5, np.nan, np.inf])

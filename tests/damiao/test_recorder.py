@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rigs.damiao_rig import mit_command, state, trajectory_of, undoubted
 from rigs.recordings import read_recording
 from robot_sysid.damiao.joints import MOTORS
-from robot_sysid.damiao.protocol import Scaling, decode_feedback
+from robot_sysid.damiao.protocol import Feedback, Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
@@ -38,44 +38,44 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
 def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_factory):
     """The printed digits suffice to find the very codes the motor sent, whose steps are larger."""
     rng = np.random.default_rng(seed)
-    n = len(types)
-    cycles = 6
+    shape = 6, len(types)
     scaling = Scaling(MOTORS[t].limits for t in types)
-    raw = rng.integers(0, 256, (cycles, n, 8), np.uint8)
-    answered = rng.random((cycles, n)) < 0.5
-    commands = rng.uniform(-10.0, 10.0, (cycles, 3, n))
-    times = 0.004 * np.arange(cycles)
-    stamps = times[:, None] + rng.uniform(1e-4, 2e-3, (cycles, n))
-    sent = decode_feedback(raw, scaling)
+    answered = rng.random(shape) < 0.5
+    times = 0.004 * np.arange(6)
+    delays = rng.uniform(1e-4, 2e-3, shape)
+    stamps = np.where(answered, times[:, None] + delays, np.nan)
+    commands = rng.uniform(-10.0, 10.0, (3, *shape))
+    sent = vars(decode_feedback(rng.integers(0, 256, (*shape, 8), np.uint8), scaling))
+    heard = {name: np.where(answered, field, np.nan) for name, field in sent.items()}
+    measured = {name: heard[name] for name in ("position", "velocity", "torque")}
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
     with recorder_for(path, types) as recorder:
         for k, time in enumerate(times):
-            feedback = decode_feedback(raw[k], scaling)
-            for values in (feedback.position, feedback.velocity, feedback.torque):
-                values[~answered[k]] = np.nan
-            stamp = np.where(answered[k], stamps[k], np.nan)
-            replies = undoubted(answered[k], stamp + 7.0, feedback, answered[k])
-            position, velocity, torque = commands[k]
-            acted = mit_command(position, velocity, torque=torque)
-            recorder.write(time, 7.0, replies, acted)
+            fields = {name: field[k] for name, field in {**sent, **measured}.items()}
+            replies = undoubted(
+                answered[k], stamps[k] + 7.0, Feedback(**fields), answered[k]
+            )
+            position, velocity, torque = commands[:, k]
+            recorder.write(
+                time, 7.0, replies, mit_command(position, velocity, torque=torque)
+            )
     recording = read_recording(path)
     assert recording.ending == "completed"
     np.testing.assert_allclose(recording.columns["time"], times, atol=1e-6)
-    for title, exact, tolerance in (
-        ("pos", sent.position, 0.49 * scaling.steps[0]),
-        ("vel", sent.velocity, 0.49 * scaling.steps[1]),
-        ("tau", sent.torque, 0.49 * scaling.steps[2]),
-        ("time", stamps, 1e-6),
-        ("status", raw[..., 0] >> 4, 0.0),
-        ("temp_mos", raw[..., 6], 0.0),
-        ("temp_rotor", raw[..., 7], 0.0),
-    ):
+    columns = {
+        "pos": (heard["position"], 0.49 * scaling.steps[0]),
+        "vel": (heard["velocity"], 0.49 * scaling.steps[1]),
+        "tau": (heard["torque"], 0.49 * scaling.steps[2]),
+        "time": (stamps, 1e-6),
+        "status": (heard["status"], 0.0),
+        "temp_mos": (heard["temperature_mos"], 0.0),
+        "temp_rotor": (heard["temperature_rotor"], 0.0),
+        **{t: (c, 6e-7) for t, c in zip(("cmd_pos", "cmd_vel", "cmd_tau"), commands)},
+    }
+    for title, (exact, tolerance) in columns.items():
         values = recording.joint_values(title)
-        np.testing.assert_array_equal(np.isfinite(values), answered)
-        assert np.all((np.abs(values - exact) <= tolerance)[answered]), title
-    for row, title in enumerate(("cmd_pos", "cmd_vel", "cmd_tau")):
-        values = recording.joint_values(title)
-        np.testing.assert_allclose(values, commands[:, row], atol=6e-7)
+        np.testing.assert_array_equal(np.isnan(values), np.isnan(exact))
+        assert np.nanmax(np.abs(values - exact) - tolerance, initial=-1.0) <= 0, title
 
 
 def replies_of(q, qd, time, command=None, torque=0.0):
@@ -156,27 +156,21 @@ PERIOD = 0.01
 
 def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     """The fundamental of a held sine lags by half a period and is lower by sinc."""
-    frequency = 5.0
     kp = 100.0
-    count = 400
-    angular = 2.0 * np.pi * frequency
+    angular = 2.0 * np.pi * 5.0
+    times = PERIOD * np.arange(400)
+    commands = [mit_command(np.sin(angular * time), kp=kp) for time in times]
     centring = Centring(PERIOD)
     zero = np.zeros(1)
-    times = PERIOD * np.arange(count)
-    positions = np.sin(angular * times)
-    torques = []
-    for k, time in enumerate(times[1:-1]):
-        acted = mit_command(positions[k], kp=kp)
-        command = mit_command(positions[k + 1], kp=kp)
+    errors = []
+    # Each sample is taken when the next command arrives.
+    for time, acted, command in zip(times[1:], commands, commands[1:]):
         replies = replies_of(zero, zero, zero + time, command)
-        correction = centring.torques(replies, acted)
-        torques.append(correction[0] + kp * positions[k])
-    # Row k was sampled when command k + 1 arrived.
-    middles = times[1:-1] - 0.5 * PERIOD
-    expected = kp * np.sinc(frequency * PERIOD) * np.sin(angular * middles)
-    error = np.max(np.abs(np.array(torques) - expected)[2:]) / kp
+        torque = centring.torques(replies, acted) + kp * acted.position
+        middle = np.sin(angular * (time - 0.5 * PERIOD))
+        errors.append(torque / kp - np.sinc(5.0 * PERIOD) * middle)
     half_step_only = (angular * PERIOD) ** 2 / 12.0
-    assert error < 0.25 * half_step_only
+    assert np.max(np.abs(errors[2:])) < 0.25 * half_step_only
 
 
 @pytest.mark.parametrize("damping", [0.05, 1.0, 20.0])
