@@ -10,7 +10,7 @@ that open a bus or log its frames import it inside the function that does.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -104,32 +104,30 @@ def play(
         HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
             may still be enabled.
     """
-    with _motor_file(trajectory) as (path, plan_options):
-        values = {"trajectory": path, "joint_map": joint_map, **plan_options, **options}
+    with _trajectory_options(trajectory) as values:
+        values.update(options, joint_map=joint_map)
         if model is not None:
             from robot_sysid.api.calls import path_of
 
             values["model"] = path_of(model)
         run = execution.MotorRun(values)
         plan = run.plan()
-        require_playable(run.checks(plan))
         with run.open_simulated(plan) if simulate else run.open_guarded() as link:
             inspection = inspect_bus(link)
             # The signs of a simulated arm's motors are not in doubt.
-            checks = run.inspection_checks(plan, inspection, not simulate)
-            require_playable(checks)
+            checks = run.inspection_checks(plan, inspection, real=not simulate)
+            require_playable([*run.checks(plan), *checks])
             holding = run.holding(plan)
             return execution.run(link, plan, inspection, StopRequest(), say, holding)
 
 
 @contextlib.contextmanager
-def _motor_file(
+def _trajectory_options(
     trajectory: Path | str | PlanResult,
-) -> Iterator[tuple[Path, Mapping[str, Any]]]:
-    """Yield the path of a trajectory's motor file, and key to value of the options on its arm.
+) -> Iterator[dict[str, Any]]:
+    """Yield key to value of the options that a trajectory states: its file, of a plan also its arm.
 
-    The file of a plan is temporary, and its options are those that the plan was made with; a path
-    is yielded as it is, without options.
+    The file of a plan is temporary.
 
     Raises:
         SysidError: the plan must not be played.
@@ -139,12 +137,11 @@ def _motor_file(
     from robot_sysid.pipeline.planning import draft_motor_file
 
     if not isinstance(trajectory, PlanResult):
-        yield Path(trajectory), {}
+        yield {"trajectory": Path(trajectory)}
         return
     if trajectory.failure:
         raise SysidError(f"{trajectory.failure}; not played")
     config = trajectory.config
-    arm_options = {"model": config.model.path, **given_values(config.model)}
     with temporary_folder() as folder:
         with atomic_files() as files:
             plan = trajectory.checked.plan
@@ -153,4 +150,5 @@ def _motor_file(
             raise InputError(
                 "the plan is for no motors; give rs.plan export_damiao and motor_type"
             )
-        yield paths[0], arm_options
+        model_options = given_values(config.model)
+        yield {"trajectory": paths[0], "model": config.model.path, **model_options}
