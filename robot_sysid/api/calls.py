@@ -36,7 +36,7 @@ from robot_sysid.pipeline.comparison import Check, check_log
 from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.planning import predict_plan
 from robot_sysid.pipeline.stages import load_arm
-from robot_sysid.records import Array, Recording, RobotModel, checked_array
+from robot_sysid.records import Array, Motion, Recording, RobotModel, checked_array
 from robot_sysid.records.messages import Progress, says
 from robot_sysid.records.option_fields import given_values, options_of_all, record_from
 
@@ -356,28 +356,23 @@ def joint_torque_regressor(
         InputError: the model cannot be used, or the arrays do not fit it.
     """
     robot = arm_of(model, options)
-    n = robot.n_joints
-    motion = []
-    for name, signal in (("q", q), ("qd", qd), ("qdd", qdd)):
-        samples = np.atleast_2d(np.asarray(signal, dtype=float))
-        motion.append(checked_array(samples, (None, n), name))
-    position, velocity, acceleration = motion
-    if not len(position) == len(velocity) == len(acceleration):
-        raise InputError("q, qd and qdd need the same number of samples")
+    signals = [np.atleast_2d(np.asarray(s, dtype=float)) for s in (q, qd, qdd)]
+    checked_array(signals[0], (None, robot.n_joints), "q")
+    motion = Motion(np.zeros(len(signals[0])), *signals)
     link_indices = [k for k, link in enumerate(robot.links) if link.has_mass]
-    columns = [LinkDynamics(robot).motion(*motion).columns(link_indices)]
+    columns = [LinkDynamics(robot).motion(*signals).columns(link_indices)]
     theta = [robot.thetas[link_indices].ravel()]
     names: list[str] = []
     for k in link_indices:
         names += link_names(robot, k)
-    direction = np.sign(velocity)
+    direction = np.sign(motion.qd)
     for term in (ROTOR, VISCOUS, COULOMB):
-        factor = term.torque(direction, velocity, acceleration, 0.0 * velocity)
-        columns.append(np.eye(n) * factor[:, None])
+        factor = term.torque(direction, motion.qd, motion.qdd, 0.0 * direction)
+        columns.append(np.eye(robot.n_joints) * factor[:, None])
         theta.append(term.stated(robot))
         names += map(term.key_of, robot.joint_names)
     Y = np.concatenate(columns, axis=-1)
-    tau = ArmDynamics(robot).torque(*motion) + robot.friction.torque(velocity)
+    tau = ArmDynamics(robot)(motion)
     if np.ndim(q) == 1:
         Y = Y[0]
         tau = tau[0]
