@@ -85,7 +85,7 @@ def map_line(name, can_id, master_id, *mounted):
 
 
 def export(chunks, types, path, **ids):
-    """Write a motion for motors of these types, and return the report."""
+    """Write a motion for motors of these types, and return what was clamped."""
     joints = damiao_joints(types, len(types), **ids)
     with atomic_file(path) as file:
         return export_damiao_trajectory(chunks, joints, file)

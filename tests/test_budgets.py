@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3418,
     "robot_sysid/commands": 10966,
-    "robot_sysid/damiao": 31818,
+    "robot_sysid/damiao": 31638,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8673,
     "robot_sysid/motion": 14885,
-    "robot_sysid/pipeline": 9718,
+    "robot_sysid/pipeline": 9715,
     "robot_sysid/records": 10688,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11013,

@@ -51,17 +51,20 @@ def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
     types = options.motor_type
     ids = options.can_id, options.master_id
     joints = damiao_joints(types, robot.n_joints, *ids, robot.joint_names)
-    # No command can exceed what frames carry, either.
-    frames = Limits(torque=np.array([joint.spec.limits[2] for joint in joints]))
-    limits = Limits.of(motor_ratings(joints)[0].limits, frames)
+    frames = np.array([joint.spec.limits for joint in joints])
+    _, vmax, tmax = frames.T
+    ratings, _ = motor_ratings(joints)
+    # Without a range: a joint that may turn for ever plans motions around its reference.
+    limits = Limits.of(ratings.limits, Limits(velocity=vmax, torque=tmax))
 
     def write(chunks: Iterable[MotionChunk], file: TextIO) -> list[str]:
-        """Write a motion, clamped to what frames can carry; return the share that was clamped."""
-        report = export_damiao_trajectory(chunks, joints, file)
+        """Write a motion, clamped to what frames can carry; return the shares that were clamped."""
+        percent = export_damiao_trajectory(chunks, joints, file)
         lines = ["Damiao export, clamped to motor limits:"]
-        for joint, share in zip(joints, report.clamped_percent):
-            lines.append(f"  {joint.name} ({joint.motor_type}): {share:.1f} %")
-        return [*lines, *map("  {}".format, report.warnings)]
+        for joint, share in zip(joints, percent):
+            remedy = "; use a stronger motor or a slower trajectory" if share else ""
+            lines.append(f"  {joint.name} ({joint.motor_type}): {share:.1f} %{remedy}")
+        return lines
 
     return ArmMotors(limits, LIMITS, write)
 

@@ -8,7 +8,7 @@
 
 A joint whose replies do not come on CAN id + 0x10 has ``,master_id=...`` appended to its line.
 
-The export clamps values to the motors' limits and reports the share of samples that it clamped.
+The export clamps values to the motors' limits and returns the share of samples that it clamped.
 """
 
 from __future__ import annotations
@@ -44,19 +44,6 @@ _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
 
 ROUNDING = 0.5e-4
 """Largest rounding error of a number with four decimals, as the export writes it."""
-
-
-@dataclass(frozen=True)
-class DamiaoExportReport:
-    """Result of the export of a trajectory with n joints.
-
-    Attributes:
-        clamped_percent: share (n,) of each joint's samples that have a clamped value [%].
-        warnings: sentences about ratings and clamped samples.
-    """
-
-    clamped_percent: Array
-    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +122,17 @@ class DamiaoTrajectory:
 
 def export_damiao_trajectory(
     motion_chunks: Iterable[MotionChunk], joints: tuple[DamiaoJoint, ...], file: TextIO
-) -> DamiaoExportReport:
-    """Write a trajectory for Damiao motors, clamped to the limits of their frames; return a report.
+) -> Array:
+    """Write a trajectory for Damiao motors, clamped to the limits of their frames.
 
     Args:
         motion_chunks: successive pieces of the motion in joint space: time, position, velocity and
             torque. They are written one after the other.
         joints: the n joints with their motors, base to terminal.
         file: to write to.
+
+    Returns:
+        The share (n,) of each joint's samples that have a clamped value [%].
 
     Raises:
         InputError: there are no samples, or a value is not finite.
@@ -155,8 +145,6 @@ def export_damiao_trajectory(
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     n_rows = 0
     n_clamped = np.zeros(len(joints))
-    # Times and signals of the rows with the largest values.
-    peaks: list[tuple[Array, Array]] = []
     # Milliseconds where all times of the first chunk are whole ones, else microseconds.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     formats = [f"%.{decimals}f"] + ["%.4f"] * (3 * len(joints))
@@ -168,27 +156,12 @@ def export_damiao_trajectory(
             raise InputError("the trajectory to export has values that are not finite")
         clamped = np.clip(signals, -limits, limits)
         n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
-        rows = np.unique(np.abs(signals).argmax(axis=1))
-        peaks.append((chunk[0][rows], signals[:, rows]))
         n_rows += len(chunk[0])
         cells = clamped.transpose(1, 2, 0).reshape(len(chunk[0]), -1)
         # Adding zero turns the -0.0 that rounding leaves into 0.0.
         table = np.column_stack([chunk[0], np.round(cells, 4) + 0.0])
         np.savetxt(file, table, formats, delimiter=",")
-    percent = 100.0 * n_clamped / n_rows
-    warnings = []
-    for joint, share in zip(joints, percent):
-        if share:
-            warnings.append(
-                f"{joint.label}: {share:.2f} % of the samples were clamped to the limits of a "
-                f"{joint.motor_type}; use a stronger motor or a slower trajectory"
-            )
-    times, rows_of_peaks = zip(*peaks)
-    q, qd, tau = np.concatenate(rows_of_peaks, axis=1)
-    motion = np.concatenate(times), (q, qd, 0.0 * qd, tau)
-    for remark in limit_remarks(joints, motor_ratings(joints), *motion):
-        warnings.append(remark.text)
-    return DamiaoExportReport(percent, tuple(warnings))
+    return 100.0 * n_clamped / n_rows
 
 
 def _head(joints: Sequence[DamiaoJoint]) -> str:

@@ -43,7 +43,7 @@ class ArmMotors:
 
     limits: Limits
     kept_options: Sequence[str]
-    write: Callable[[Iterable[MotionChunk], TextIO], Sequence[str]]
+    write: Callable[[Iterable[MotionChunk], TextIO], list[str]]
 
 
 @contextmanager

@@ -231,7 +231,7 @@ def draft_motor_file(
     path = folder / DAMIAO_NAME
     commands = motor_commands(robot, plan, config.trajectory.sample_rate)
     with files.open(path) as file:
-        return (path,), [*motors.write(commands, file)]
+        return (path,), motors.write(commands, file)
 
 
 def motor_commands(

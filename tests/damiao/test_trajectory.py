@@ -18,8 +18,8 @@ from robot_sysid.errors import InputError
 
 def export_motion(chunks, types):
     text = io.StringIO()
-    report = export(chunks, types, text)
-    return report, text.getvalue()
+    percent = export(chunks, types, text)
+    return percent, text.getvalue()
 
 
 def reread(path):
@@ -32,7 +32,7 @@ def test_the_file_looks_as_specified():
     q = np.array([[0.0, 0.0], [0.0012, 0.0008], [0.0024, 0.0016]])
     qd = np.array([[0.0, 0.0], [0.31, 0.22], [0.315, 0.225]])
     tau = np.array([[0.0, -0.00001], [0.05, 0.03], [0.051, 0.0305]])
-    report, text = export_motion([(time, q, qd, tau)], ["DM4340", "DM4340"])
+    percent, text = export_motion([(time, q, qd, tau)], ["DM4340", "DM4340"])
     assert text == (
         "# motor_type=DM4340,can_id=1,mode=MIT\n"
         "# motor_type=DM4340,can_id=2,mode=MIT\n"
@@ -41,7 +41,7 @@ def test_the_file_looks_as_specified():
         "0.001,0.0012,0.3100,0.0500,0.0008,0.2200,0.0300\n"
         "0.002,0.0024,0.3150,0.0510,0.0016,0.2250,0.0305\n"
     )
-    np.testing.assert_array_equal(report.clamped_percent, [0.0, 0.0])
+    np.testing.assert_array_equal(percent, [0.0, 0.0])
 
 
 @given(data=st.data())
@@ -54,14 +54,14 @@ def test_what_is_written_is_read_back_within_the_printed_digits(data, tmp_path_f
     values = data.draw(share) * limits[:, None, :]
     time = np.arange(samples) / rate
     path = tmp_path_factory.mktemp("csv") / "damiao_trajectory.csv"
-    report = export([(time, *values)], types, path)
+    percent = export([(time, *values)], types, path)
     inside = np.clip(values, -limits[:, None, :], limits[:, None, :])
     got_time, *got = reread(path)
     np.testing.assert_allclose(got_time, time, rtol=0, atol=5.1e-7)
     np.testing.assert_allclose(got, inside, rtol=0, atol=5.1e-5)
     assert np.all(np.abs(got) <= limits[:, None, :])
     changed = np.any(values != inside, axis=0).mean(axis=0) * 100
-    np.testing.assert_allclose(report.clamped_percent, changed, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(percent, changed, rtol=0, atol=1e-9)
 
 
 @given(cuts=st.lists(st.integers(1, 39), max_size=5))

@@ -56,12 +56,11 @@ def test_motors_of_another_number_of_joints_are_refused(robot):
     assert draft_motor_file(PlanConfig(), robot, None, None, None) == ((), [])
 
 
-def test_a_plan_keeps_what_motors_and_their_frames_can_do(robot):
-    """A DM4340 turns at 52 rpm without load; the frames of a DMS3519 carry 2 of its 7.8 N·m."""
-    options = MotorOptions(export_damiao=True, motor_type=("DM4340", "DMS3519"))
-    limits = arm_motors(options, robot).limits
-    assert limits.velocity == pytest.approx([52 * 2 * np.pi / 60, np.inf])
-    assert limits.torque.tolist() == [27.0, 2.0]
+def test_a_motion_keeps_what_its_motors_and_their_frames_can_do(robot):
+    motors = arm_motors(MotorOptions(True, ("DM4340", "DMS3519")), robot)
+    limits = motors.limits
+    np.testing.assert_allclose(limits.velocity, [52 * 2 * np.pi / 60, 2000.0])
+    assert limits.torque.tolist() == [27.0, 2.0] and not limits.has_range.any()
 
 
 def still():
