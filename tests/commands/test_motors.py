@@ -102,28 +102,20 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
     )
 
 
-def test_check_says_what_has_to_change(capsys, bus, trajectory):
+def test_check_says_what_has_to_change_in_the_names_of_a_map(
+    capsys, bus, trajectory, tmp_path
+):
+    table = tmp_path / "map.csv"
+    write_joint_map(table, [map_line("hip", 1, 0x11), map_line("knee", 2, 0x12)])
     fault(0, CTRL_MODE=2)(bus)
-    fault(1, TMAX=40)(bus)
-    code, out, _ = run(capsys, "check", trajectory, CAN0)
-    assert code == 1
-    assert "[STOP] motor 1 is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)" in out
-    assert "not DM4340!" in out and "2 to change before playing" in out
-
-
-# --- play ---------------------------------------------------------------------------------------
-
-
-def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
-    record = tmp_path / "measured.csv"
-    out = succeed(
-        capsys, "play", trajectory, CAN0, AT_50, "--yes --kd 2 --record", record
-    )
-    assert "all motors are disabled" in out
-    assert bus.states() == [DISABLED] * 2
-    recording = read_recording(record)
-    assert recording.ending == "completed" and "kd=2 2" in recording.head
-    assert len(recording.columns["time"]) == 26
+    fault(1, TMAX=40, TIMEOUT=0)(bus)
+    code, out, _ = run(capsys, "check", trajectory, CAN0, "--joint-map", table)
+    assert code == 1 and "not DM4340!" in out and "3 to change before playing" in out
+    mode = "motor 1 (joint hip) is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)"
+    assert f"[STOP] {mode}" in out
+    assert "[STOP] motor 2 (joint knee)'s watchdog of 0 ms" in out
+    findings = [line for line in out.splitlines() if line.startswith("[")]
+    assert all("motor 1 (joint hip)" in line for line in findings if "motor 1" in line)
 
 
 def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):
@@ -131,6 +123,9 @@ def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):
     code, out, _ = run(capsys, "check", trajectory, "--rate 2000")
     assert code == 1 and "limit 70 %; use --rate 250" in out
     assert bus.wire.frames == []
+
+
+# --- play ---------------------------------------------------------------------------------------
 
 
 def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
@@ -145,7 +140,7 @@ def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
     succeed(capsys, "play", trajectory, CAN0, AT_50)
 
 
-def test_existing_recordings_are_kept_and_nobody_is_asked_first(
+def test_play_records_but_over_no_file_and_nobody_is_asked_first(
     capsys, bus, trajectory, tmp_path, person
 ):
     existing = tmp_path / "measured.csv"
@@ -159,11 +154,12 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
     assert "would overwrite a file that is read" in err
     assert existing.read_text() == "precious" and trajectory.read_bytes() == played
     assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
-    succeed(capsys, "play", trajectory, CAN0, *record, AT_50, "--yes", "--overwrite")
-    assert (
-        read_recording(tmp_path / "measured.csv").ending == "completed"
-        and person[1] == []
-    )
+    options = CAN0, *record, AT_50, "--yes --kd 2 --overwrite"
+    out = succeed(capsys, "play", trajectory, *options)
+    assert "all motors are disabled" in out and bus.states() == [DISABLED] * 2
+    recording = read_recording(existing)
+    assert recording.ending == "completed" and "kd=2 2" in recording.head
+    assert len(recording.columns["time"]) == 26 and person[1] == []
 
 
 def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
@@ -228,19 +224,17 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
     assert set(tmp_path.iterdir()) == files and only_asks(bus.wire.sent)
 
 
-def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
-    """At 0.31 rad/s; planes only with a model."""
-    err = fail(capsys, 3, "play", trajectory, CAN0, "--yes --max-velocity 0.3")
-    assert "rad/s is beyond your limit 0.3" in err
-    err = fail(capsys, 2, "play", trajectory, CAN0, "--yes --keep-out 0 0 1 0")
-    assert "--keep-out is about a model; add --model" in err
+def test_limits_hold_for_what_is_played(capsys, bus, trajectory, arm_file):
+    """At 0.31 rad/s; planes only with a model, and models of as many joints."""
+    three = arm_file(arms.THREE)
+    for code, options, message in (
+        (2, "--keep-out 0 0 1 0", "--keep-out is about a model; add --model"),
+        (2, f"--model {three}", f"has 2 joints but the chain of {three} has 3"),
+        (3, "--max-velocity 0.3", "rad/s is beyond your limit 0.3"),
+    ):
+        assert bus.wire.frames == []
+        assert message in fail(capsys, code, "play", trajectory, CAN0, "--yes", options)
     assert only_asks(bus.wire.sent)
-
-
-def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file):
-    err = fail(capsys, 2, "play", trajectory, CAN0, "--model", arm_file(arms.THREE))
-    assert "has 2 joints but the chain" in err and "has 3" in err
-    assert bus.wire.frames == []
 
 
 # --- simulate -----------------------------------------------------------------------------------
@@ -288,20 +282,6 @@ def test_the_command_behind_a_rehearsal_identifies_the_simulated_arm(
     assert "--links" in words
     out = command.run(*words).out
     assert "Usable" in out and "Use this file: rehearsed/updated_model.xml" in out
-
-
-def test_a_map_names_the_joints_in_what_is_said_about_motors(
-    capsys, bus, trajectory, tmp_path
-):
-    table = tmp_path / "map.csv"
-    write_joint_map(table, [map_line("hip", 1, 0x11), map_line("knee", 2, 0x12)])
-    fault(1, TIMEOUT=0)(bus)
-    code, out, _ = run(capsys, "check", trajectory, CAN0, "--joint-map", table)
-    assert code == 1 and "[STOP] motor 2 (joint knee)'s watchdog of 0 ms" in out
-    message = [
-        line for line in out.splitlines() if line.startswith("[") and "motor 1" in line
-    ]
-    assert message and all("motor 1 (joint hip)" in line for line in message)
 
 
 # --- real time ----------------------------------------------------------------------------------
