@@ -88,7 +88,7 @@ RUN_OPTIONS: list[Option] = [
 ]
 """Options of a run."""
 # What an inspection finds where there are no motors.
-_NOTHING = Inspection({}, 0, None)
+_NOTHING = Inspection({}, 0, np.nan)
 
 
 class MotorRun:

@@ -148,8 +148,9 @@ def test_play_records_but_over_no_file_and_nobody_is_asked_first(
     existing.write_text("precious")
     played = trajectory.read_bytes()
     err = fail(capsys, 2, "play", trajectory, CAN0, *record)
-    assert f"{existing.name} exists" in err
-    over_itself = "--record", trajectory, "--overwrite"
+    assert f"{existing.name} exists" in err and "--overwrite" in err
+    same = tmp_path / ".." / tmp_path.name / trajectory.name
+    over_itself = "--record", same, "--overwrite"
     err = fail(capsys, 2, "play", trajectory, CAN0, *over_itself)
     assert "would overwrite a file that is read" in err
     assert existing.read_text() == "precious" and trajectory.read_bytes() == played

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from robot_sysid.damiao.protocol import Feedback, Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
-from robot_sysid.errors import InputError
 
 
 def recorder_for(path, types=("DM4340",), overwrite=False):
@@ -100,23 +98,6 @@ def test_an_error_is_written_at_the_end(tmp_path):
     with pytest.raises(RuntimeError), recorder_for(path):
         raise RuntimeError("two\nlines")
     assert read_recording(path).ending == "stopped: two lines"
-
-
-def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
-    tmp_path, monkeypatch
-):
-    """By whatever name it is called."""
-    monkeypatch.chdir(tmp_path)
-    options = RecordingOptions(record=tmp_path / "m.csv", overwrite=True)
-    options.require_free(Path("other.csv"))
-    with pytest.raises(
-        InputError, match="--record would overwrite a file that is read"
-    ):
-        options.require_free(Path("other.csv"), Path("m.csv"))
-    (tmp_path / "m.csv").write_text("precious")
-    with pytest.raises(InputError, match="m.csv exists; .* --overwrite"):
-        RecordingOptions(record=tmp_path / "m.csv").require_free()
-    options.require_free()
 
 
 # --- centring -----------------------------------------------------------------------------------
