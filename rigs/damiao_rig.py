@@ -84,9 +84,9 @@ def map_line(name, can_id, master_id, *mounted):
     return DamiaoJoint("", can_id, master_id, name, *mounted)
 
 
-def export(chunks, types, path, **ids):
+def export(chunks, types, path):
     """Write a motion for motors of these types, and return what was clamped."""
-    joints = damiao_joints(types, len(types), **ids)
+    joints = damiao_joints(types, len(types))
     with atomic_file(path) as file:
         return export_damiao_trajectory(chunks, joints, file)
 

@@ -63,27 +63,13 @@ class OutputOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class MotorOptions(OptionRecord):
-    """Whether the trajectory is written for Damiao motors, which they are, and their CAN ids."""
+    """Whether the trajectory is written for Damiao motors, and which they are."""
 
     export_damiao: bool = option(False, "also write the trajectory for Damiao motors")
     motor_type: tuple[str, ...] = option(
         (),
         "Damiao motor, one per joint, base first; motions keep its peak",
         "TYPE",
-        repeats=True,
-    )
-    can_id: tuple[int, ...] = option(
-        (),
-        "CAN id of a motor; once per joint, base first",
-        "ID",
-        default_text="1, 2, 3, ...",
-        repeats=True,
-    )
-    master_id: tuple[int, ...] = option(
-        (),
-        "id on which a motor answers; once per joint, base first",
-        "ID",
-        default_text="CAN id + 0x10",
         repeats=True,
     )
 

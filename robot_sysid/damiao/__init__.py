@@ -48,9 +48,7 @@ def __dir__() -> list[str]:
 
 def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
     """Return the motors that options state, for plans; InputError where they do not fit the arm."""
-    types = options.motor_type
-    ids = options.can_id, options.master_id
-    joints = damiao_joints(types, robot.n_joints, *ids, robot.joint_names)
+    joints = damiao_joints(options.motor_type, robot.n_joints, robot.joint_names)
     frames = np.array([joint.spec.limits for joint in joints])
     _, vmax, tmax = frames.T
     ratings, _ = motor_ratings(joints)

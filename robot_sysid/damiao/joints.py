@@ -147,39 +147,33 @@ class DamiaoJoint:
 
 
 def damiao_joints(
-    motor_types: Sequence[str],
-    n_joints: int,
-    can_ids: Sequence[int] | None = None,
-    master_ids: Sequence[int] | None = None,
-    names: Sequence[str] = (),
+    motor_types: Sequence[str], n_joints: int, names: Sequence[str] = ()
 ) -> tuple[DamiaoJoint, ...]:
-    """Return one checked DamiaoJoint per joint, base to terminal.
+    """Return one checked DamiaoJoint per joint, base to terminal, with CAN ids 1, 2, 3, ...
+
+    A joint map states other ids.
 
     Args:
         motor_types: a name of ``MOTORS`` per joint.
         n_joints: number of joints of the chain.
-        can_ids: CAN id per joint, 1 to 15; by default 1, 2, 3, ...
-        master_ids: id of the motor's replies per joint; by default the CAN id plus 0x10.
         names: name of each joint in the model, or nothing.
 
     Raises:
-        InputError: wrong number of types or ids, unknown type, or ids that clash.
+        InputError: wrong number of types, unknown type, or more motors than a bus has ids for.
     """
-    can_ids = can_ids or range(1, n_joints + 1)
-    master_ids = master_ids or [can_id + MASTER_ID_OFFSET for can_id in can_ids]
-    values = {"motor_type": motor_types, "can_id": can_ids, "master_id": master_ids}
-    for key, numbers in values.items():
-        if len(numbers) != n_joints:
-            raise InputError(
-                f"{option_name(key)} needs one value per joint of the chain, base to terminal: "
-                f"{n_joints}, got {len(numbers)}"
-            )
-    for problem in id_problems(list(zip(can_ids, master_ids))):
+    if len(motor_types) != n_joints:
+        raise InputError(
+            f"{option_name('motor_type')} needs one value per joint of the chain, base to "
+            f"terminal: {n_joints}, got {len(motor_types)}"
+        )
+    names = names or [""] * n_joints
+    joints = []
+    for i, (motor_type, name) in enumerate(zip(motor_types, names), start=1):
+        spec = motor_spec(motor_type)
+        joints.append(DamiaoJoint(spec.name, i, i + MASTER_ID_OFFSET, name))
+    for problem in id_problems([(joint.can_id, joint.master_id) for joint in joints]):
         raise InputError(problem)
-    joint_names = names or [""] * n_joints
-    # The first four fields of a joint: type, CAN id, master id and name.
-    types = [motor_spec(name).name for name in motor_types]
-    return tuple(map(DamiaoJoint, types, can_ids, master_ids, joint_names))
+    return tuple(joints)
 
 
 def id_problems(motors: Sequence[tuple[int, int]]) -> Iterator[str]:

@@ -178,8 +178,8 @@ def motor_checks(
     if ids != {joint.master_id}:
         yield stop(
             f"{name} answers on {', '.join(map(hex, sorted(ids)))} but the trajectory expects "
-            f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export again with "
-            f"the right {option_name('master_id')}"
+            f"{joint.master_id:#x}; set it with motors setup --new-master-id, or state the right "
+            f"one in a {option_name('joint_map')}"
         )
 
     nominal = joint.spec.limits

@@ -6,7 +6,7 @@
     time,j0_pos,j0_vel,j0_tau,j1_pos,...           s, rad, rad/s, N m
     0.000,0.0000,0.0000,0.0000,0.0000,...
 
-A joint whose replies do not come on CAN id + 0x10 has ``,master_id=...`` appended to its line.
+Where replies do not come on CAN id + 0x10, ``,master_id=...`` may be appended to a joint's line.
 
 The export clamps values to the motors' limits and returns the share of samples that it clamped.
 """
@@ -168,10 +168,7 @@ def _head(joints: Sequence[DamiaoJoint]) -> str:
     """Return the comment lines and the column line of a trajectory file."""
     head = ""
     for joint in joints:
-        head += f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT"
-        if joint.master_id != joint.can_id + MASTER_ID_OFFSET:
-            head += f",master_id={joint.master_id}"
-        head += "\n"
+        head += f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT\n"
     return head + ",".join(["time", *trajectory_columns(len(joints))]) + "\n"
 
 

@@ -66,6 +66,8 @@ def test_an_unknown_type_lists_the_valid_ones():
 def test_motor_types_have_to_match_the_chain(names, message):
     with pytest.raises(InputError, match=message):
         damiao_joints(names, 7)
+    with pytest.raises(InputError, match="CAN id 16 is outside 1 to 15"):
+        damiao_joints(["DM4340"] * 16, 16)
 
 
 WAYS = st.sampled_from([-1, 1])
