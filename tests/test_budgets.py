@@ -16,7 +16,7 @@ from pathlib import Path
 from rigs.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 3418,
+    "robot_sysid/api": 3423,
     "robot_sysid/commands": 10966,
     "robot_sysid/damiao": 31567,
     "robot_sysid/diagnosis": 16141,

@@ -12,11 +12,13 @@ import inspect
 import textwrap
 from collections.abc import Callable, Iterable
 from itertools import chain
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from robot_sysid.config import Config
 from robot_sysid.records.option_fields import Option, refuse_unknown, value_text
 from robot_sysid.wording import in_python, with_option_names
+
+if TYPE_CHECKING:
+    from robot_sysid.config import Config
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a decorated function, which the decorator keeps."""

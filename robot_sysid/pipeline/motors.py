@@ -26,7 +26,10 @@ _COMMANDS = "robot_sysid.commands.motors"
 
 
 class MissingMotorsError(InputError, AttributeError):
-    """The package for motors is missing: to Python, the names that it defines are."""
+    """The package for motors is not installed.
+
+    An AttributeError too, so that ``hasattr(rs, "motors")`` is false then.
+    """
 
 
 @dataclass(frozen=True)
