@@ -18,7 +18,7 @@ from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Written, writable_folder
 from robot_sysid.model.compilation import lasting_folder
 from robot_sysid.pipeline.motions import CheckedPlan
-from robot_sysid.pipeline.planning import draft_plan
+from robot_sysid.pipeline.planning import draft_motor_file, draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in
@@ -198,7 +198,8 @@ class PlanResult:
         return self.motion(np.arange(sample_count(self.duration, rate)) / rate)
 
     def save(self, path: str | Path) -> tuple[Path, ...]:
-        """Write the trajectory (.json) and its samples (.csv) and return both paths.
+        """Write the trajectory (.json), its samples (.csv) and, of a plan for motors, beside them
+        the file that they play, ``damiao_trajectory.csv``; return the paths.
 
         Raises:
             SysidError: the motion must not be played; says why.
@@ -206,10 +207,14 @@ class PlanResult:
         """
         if self.failure:
             raise SysidError(f"{self.failure}; nothing was written")
-        trajectory = replace(self.config.trajectory, save=Path(path))
+        path = Path(path)
+        trajectory = replace(self.config.trajectory, save=path)
         config = replace(self.config, trajectory=trajectory)
+        plan = self.checked.plan
         with in_python(), one_thread(), atomic_files() as files:
-            return draft_plan(config, self.robot, self.checked.plan, files)
+            paths = draft_plan(config, self.robot, plan, files)
+            motors = draft_motor_file(config, self.robot, plan, files, path.parent)
+            return paths + motors[0]
 
     def __str__(self) -> str:
         return "\n".join(self.prediction)

@@ -27,10 +27,10 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     motor_ratings,
 )
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.errors import InputError
 from robot_sysid.pipeline.motors import ArmMotors
 from robot_sysid.records import Limits, RobotModel
-from robot_sysid.records.file_access import atomic_files, temporary_folder
+from robot_sysid.records.file_access import temporary_folder
 from robot_sysid.records.option_fields import given_values
 
 if TYPE_CHECKING:
@@ -135,21 +135,19 @@ def _trajectory_options(
         InputError: the plan was made without motors.
     """
     from robot_sysid.api.results import PlanResult
-    from robot_sysid.pipeline.planning import draft_motor_file
 
     if not isinstance(trajectory, PlanResult):
         yield {"trajectory": Path(trajectory)}
         return
-    if trajectory.failure:
-        raise SysidError(f"{trajectory.failure}; not played")
     config = trajectory.config
+    if not config.motors.export_damiao:
+        raise InputError(
+            "the plan is for no motors; give rs.plan export_damiao and motor_type"
+        )
     with temporary_folder() as folder:
-        with atomic_files() as files:
-            plan = trajectory.checked.plan
-            paths, _ = draft_motor_file(config, trajectory.robot, plan, files, folder)
-        if not paths:
-            raise InputError(
-                "the plan is for no motors; give rs.plan export_damiao and motor_type"
-            )
-        model_options = given_values(config.model)
-        yield {"trajectory": paths[0], "model": config.model.path, **model_options}
+        *_, path = trajectory.save(folder / "plan.json")
+        yield {
+            "trajectory": path,
+            "model": config.model.path,
+            **given_values(config.model),
+        }

@@ -42,13 +42,16 @@ def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
     assert tuple(capfd.readouterr()) == ("", "")
 
 
-def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
+def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path, monkeypatch):
     # What an estimate will know is slow to tell.
     monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, ()))
     motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
     plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)
     report = rs.motors.play(plan, simulate=True, rate=50)
     assert report.cycles == 31 and np.max(report.worst_tracking) < 0.1
+    files = plan.save(tmp_path / "plan.json")
+    assert files[2] == tmp_path / "damiao_trajectory.csv"
+    assert rs.motors.play(files[2], model=model, simulate=True, rate=50).cycles == 31
     for_none = replace(plan, config=replace(plan.config, motors=MotorOptions()))
     with pytest.raises(
         rs.InputError, match="give rs.plan export_damiao and motor_type"
