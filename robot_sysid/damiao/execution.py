@@ -154,9 +154,7 @@ class MotorRun:
         types = options.motor_type or [_stored_type(j, inspection) for j in joints]
         types = types * n if len(types) == 1 else types
         joints = self._with_joint_map(damiao_joints(types, n))
-        pose = joint_values(
-            options.pose or tuple(robot.reference), n, option_name("pose")
-        )
+        pose = joint_values(options.pose or tuple(robot.reference), n, "--pose")
         positions = joint_positions(joints, inspection)
         pose = np.where(np.isfinite(positions), positions, pose)
         torque = self._gravity(joints).torque(pose)
