@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3457,
     "robot_sysid/commands": 10966,
-    "robot_sysid/damiao": 31522,
+    "robot_sysid/damiao": 31503,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,

@@ -81,11 +81,7 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
-    """Yield the checks of a plan against the answers of the motors on the bus.
-
-    The range of their frames and the distance from the first point are only checked where the
-    scaling of all joints' motors is known.
-    """
+    """Yield the checks of a plan against the answers of the motors on the bus."""
     trajectory = plan.trajectory
     joints = trajectory.joints
     settings = plan.settings
@@ -98,21 +94,17 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
     ids = [(can_id, motor.master_id) for can_id, motor in motors.items()]
     yield from map(stop, id_problems(ids))
 
-    frames = []
     for joint in joints:
-        if joint.can_id not in motors:
+        if joint.can_id in motors:
+            yield from motor_checks(motors[joint.can_id], plan, joint)
+        else:
             yield stop(
                 f"{joint.label} does not answer; check power, wiring, its id, bit rate, "
                 f"{option_name('fd')}"
             )
-            continue
-        motor = motors[joint.can_id]
-        yield from motor_checks(motor, plan, joint)
-        if set(protocol.SCALING) <= set(motor.registers):
-            frames.append(motor.limits)
 
     # Motors outside the trajectory are left limp.
-    driven = {joint.can_id for joint in joints}
+    driven = [joint.can_id for joint in joints]
     others = [motor for can_id, motor in motors.items() if can_id not in driven]
     if others:
         names = ", ".join(motor.name for motor in others)
@@ -133,27 +125,24 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
             f"{settings.rate:g} Hz: commands and samples would be mixed up; use "
             f"{option_name('rate', f'{rate:g}')} or a faster adapter"
         )
-    if len(frames) < len(joints):
-        return
-    # Others are those of no motor, and stop the run already.
-    if all(map(_can_scale, frames)):
-        limits = Mounting.of(joints).frame_limits(np.array(frames))
-        stated = [StatedLimits(limits, "its registers' limit", SMALLER)]
-        yield from limit_remarks(joints, stated, *trajectory.played(settings.speed))
+    # What is not known, or no motor has, stops the run already.
+    unknown = np.full(3, np.inf)
+    frames = np.array(
+        [motors[i].limits if i in motors else unknown for i in driven], float
+    )
+    frames[~(frames > 0.0)] = np.inf
+    limits = Mounting.of(joints).frame_limits(frames)
+    stated = [StatedLimits(limits, "its registers' limit", SMALLER)]
+    yield from limit_remarks(joints, stated, *trajectory.played(settings.speed))
     positions = joint_positions(joints, inspection)
+    tolerance = settings.start_tolerance
     for joint, position, first in zip(joints, positions, trajectory.q[0]):
-        # Written so that a NaN stops.
-        if not abs(position - first) <= settings.start_tolerance:
+        if abs(position - first) > tolerance:
             yield stop(
                 f"{joint.label} is at {position:.3f} rad but the trajectory starts at {first:.3f}, "
-                f"more than {settings.start_tolerance:g} away; move it by hand (a whole turn: it "
-                "lost its turn count)"
+                f"more than {tolerance:g} away; move it by hand (a whole turn: it lost its turn "
+                "count)"
             )
-
-
-def _can_scale(limits: Sequence[float]) -> bool:
-    """Return whether frames can scale with PMAX, VMAX and TMAX: finite numbers above zero."""
-    return all(0.0 < limit < np.inf for limit in limits)
 
 
 def motor_checks(
@@ -189,7 +178,8 @@ def motor_checks(
             f"{name} has PMAX, VMAX, TMAX {values[0]} but a {joint.motor_type} has "
             f"{values[1]}"
         )
-        if settings.accept_register_limits and _can_scale(motor.limits):
+        is_usable = all(0.0 < limit < np.inf for limit in motor.limits)
+        if settings.accept_register_limits and is_usable:
             yield note(f"{difference}: the motor's own values are used")
         else:
             yield stop(
