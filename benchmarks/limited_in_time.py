@@ -24,14 +24,13 @@ import numpy as np
 
 import robot_sysid
 from benchmarks.confusion_causes import Scene, draw_scene
+from rigs.log_files import open_log
 from rigs.wrong_arms import ARMS, resting_torque
 from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import temporary_folder
@@ -211,7 +210,7 @@ def check_scene(
         answered: whether the arm is identified; if not, the error is NaN.
     """
     write_measurement_csv(path, scene.robot.joint_names, [scene.log])
-    log = open_log(scene.robot, path, LogOptions())
+    log = open_log(scene.robot, path)
     judged = judge(scene.robot, [log], Question(EstimationOptions()), Progress())
     fitted, _ = usable(judged, (), Progress())
     if not answered:

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import servo_arm
+from rigs.log_files import open_log
 from rigs.places import MODELS
 from robot_sysid.config import IdentifyConfig
-from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
 from robot_sysid.servo import HELD_OUT_SHARE, UNITS, run_servo

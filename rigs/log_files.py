@@ -13,7 +13,8 @@ import numpy as np
 from rigs import arms
 from rigs.refusals import refused
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log
+from robot_sysid.logs.reader import open_logs
+from robot_sysid.logs.table import LogTable
 from robot_sysid.records import Limits, Recording, RobotModel
 
 JOINTS = ("base", "elbow", "wrist")
@@ -76,6 +77,17 @@ def _serial_robot(count: int) -> RobotModel:
 
 def _text(cell: object) -> str:
     return repr(float(cell)) if isinstance(cell, float) else str(cell)
+
+
+def open_log(robot: RobotModel, source: Any, *options: Any) -> Recording:
+    """Read one log, with options or none, and with a progress."""
+    (log,) = open_logs(robot, [source], *(options or [LogOptions()]))
+    return log
+
+
+def titles_alone(titles: Sequence[str], first_row: Sequence[str] = ()) -> LogTable:
+    """A log of which only the titles matter."""
+    return LogTable(Path("log"), "", tuple(titles), iter, first_row=tuple(first_row))
 
 
 def read_measurements(

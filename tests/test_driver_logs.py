@@ -18,10 +18,10 @@ from rigs.driver_logs import (
     openarm_bag,
     so101_data_set,
 )
+from rigs.log_files import open_log
 from rigs.places import MODELS
 from robot_sysid.cli import main
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 
 for library in ("rosbags", "pyarrow"):
@@ -56,7 +56,7 @@ def marked(logs):
 def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log):
     """Whatever the driver's order, names, units, turns and further topics are."""
     expected = log.motion()
-    recording = open_log(log.robot(tmp_path), log.write(tmp_path), LogOptions())
+    recording = open_log(log.robot(tmp_path), log.write(tmp_path))
     assert len(recording) == len(expected)
     error = recording.q - expected.q
     turns = 2.0 * np.pi * np.round(error[:1] / (2.0 * np.pi))

@@ -12,7 +12,6 @@ from benchmarks.fuzz.mutations import damage_bytes, damaged_json, damaged_table,
 from rigs import log_files
 from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.table import LogTable, array_blocks
 from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
 
@@ -85,4 +84,4 @@ def use(case: Case, folder: Path) -> None:
             ("", "<script>", *_log().titles[2:]) if len(case[name]) % 50 == 0 else None
         )
         table = dataclasses.replace(_log(), titles=titles) if titles else _log()
-        open_log(_ARM, table, LogOptions(columns=path))
+        log_files.open_log(_ARM, table, LogOptions(columns=path))

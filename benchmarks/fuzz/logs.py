@@ -25,7 +25,6 @@ from benchmarks.fuzz.mutations import (
 )
 from rigs import log_files, recorded
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log
 
 ROWS = 24
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
@@ -163,7 +162,7 @@ def use(case: Case, folder: Path) -> None:
     input_folder = write_case(files, folder)
     currents = (1.0,) if len(case["read"]) % 2 else None
     path = input_folder / case["read"].decode()
-    open_log(
+    log_files.open_log(
         _ARM,
         path,
         LogOptions(torque_constants=currents if "npz" in path.name else None),

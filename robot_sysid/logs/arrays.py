@@ -52,6 +52,7 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     """
     uses = Counter(name.rpartition("/")[2] for name in arrays)
     columns = {}
+    names_of: dict[int, list[str]] = {}
     left_out = []
     for name, values in arrays.items():
         if isinstance(values, np.ndarray) and values.size:
@@ -59,6 +60,10 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         if can_be_column(values):
             short_name = name.rpartition("/")[2]
             columns[short_name if uses[short_name] == 1 else name] = values
+            continue
+        elements: Any = getattr(values, "tolist", list)()
+        if _JOINT_NAMES.search(name) and is_names(elements):
+            names_of[len(elements)] = elements
         else:
             left_out.append(name)
     # The longer side of an array are the samples. Their number is that of the times, else the most
@@ -69,14 +74,6 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         listed = ", ".join(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = statistics.mode(lengths)
-    names_of: dict[int, list[str]] = {}
-    for name in left_out.copy():
-        values = arrays[name]
-        if _JOINT_NAMES.search(name) and hasattr(values, "tolist"):
-            names = values.tolist()
-            if is_names(names):
-                names_of[len(names)] = names
-                left_out.remove(name)
     titles = []
     samples = []
     for name, values in columns.items():
@@ -91,16 +88,11 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
             titles += [f"{joint}/{name}" for joint in names_of[width]]
         else:
             titles += [f"{name}[{k}]" for k in range(width)]
-    notes = [
-        f"arrays that are no columns of numbers are not used: {join_names(left_out)}"
-    ]
-    return LogTable(
-        path,
-        layout,
-        tuple(titles),
-        partial(array_blocks, samples),
-        notes=tuple(notes if left_out else ()),
-    )
+    blocks = partial(array_blocks, samples)
+    unused = join_names(left_out)
+    note = f"arrays that are no columns of numbers are not used: {unused}"
+    notes = (note,) if left_out else ()
+    return LogTable(path, layout, tuple(titles), blocks, notes=notes)
 
 
 def can_be_column(array: Any) -> bool:
@@ -192,10 +184,13 @@ def _in_seconds(values: Array, start: Any) -> Array:
     return np.asarray((values - start) / np.timedelta64(1, "s"))
 
 
-STATE = "observation.state"
-"""Feature (array of a frame) that holds what was measured."""
-ACTION = "action"
-"""Feature that holds what was commanded."""
+# Feature (array of a frame) of a LeRobot data set to the quantity of each name in it.
+_FEATURES = {
+    "observation.state": "position",
+    "action": "command",
+    "observation.velocity": "velocity",
+    "observation.effort": "torque",
+}
 # Last word of a name in a feature, such as "pos" in "elbow.pos", to the title's quantity and unit.
 _SUFFIXES = {
     "pos": "position [deg]",
@@ -204,8 +199,6 @@ _SUFFIXES = {
     "torque": "torque [Nm]",
     "effort": "torque [Nm]",
 }
-# Features (arrays of a frame) whose names are those of joints, to their quantity.
-_FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 # Names of LeRobot's robots that record positions in degrees or in per cent, by a setting.
 _PER_CENT_ARMS = re.compile(r"so\d{3}|so_follower|koch|lekiwi|omx")
 _DEGREES_NOTE = (
@@ -225,9 +218,9 @@ def lerobot_table(path: Path, _: Sequence[str], options: LogOptions) -> LogTable
     info = _as_mapping(read_json(path / "meta" / "info.json", _DOWNLOAD))
     descriptions = _as_mapping(info.get("features"))
     titles = {}
-    for feature in (STATE, ACTION, *_FEATURES):
+    for feature, quantity in _FEATURES.items():
         names = _as_mapping(descriptions.get(feature)).get("names")
-        if feature_titles := _lerobot_titles(names, feature):
+        if feature_titles := _lerobot_titles(names, quantity):
             titles[feature] = feature_titles
     columns = ["timestamp [s]", *chain(*titles.values())]
     files = sorted((path / "data").rglob("*.parquet"))
@@ -276,23 +269,22 @@ def _as_mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _lerobot_titles(names: Any, feature: str) -> list[str]:
+def _lerobot_titles(names: Any, quantity: str) -> list[str]:
     """Return titles such as "elbow position [deg]" of the columns of a LeRobot feature.
 
     Args:
         names: of the numbers, such as ["elbow.pos"], or a JSON object of such lists; anything else
             makes no titles.
-        feature: STATE, ACTION or a key of _FEATURES.
+        quantity: of a name without a suffix of _SUFFIXES; "command" of all positions.
     """
     titles = []
     for group in names.values() if isinstance(names, dict) else [names]:
         for name in group if isinstance(group, list) else ():
             stem, _, suffix = str(name).rpartition(".")
-            joint = stem if suffix in _SUFFIXES else str(name)
-            quantity = _SUFFIXES.get(suffix, _FEATURES.get(feature, "position"))
-            if feature == ACTION:
-                quantity = quantity.replace("position", "command")
-            titles.append(f"{joint} {quantity}")
+            meaning = _SUFFIXES.get(suffix, quantity)
+            if quantity == "command":
+                meaning = meaning.replace("position", quantity)
+            titles.append(f"{stem if suffix in _SUFFIXES else name} {meaning}")
     return titles
 
 
@@ -316,14 +308,26 @@ _ALOHA_JOINTS = (
 
 
 def hdf5_table(path: Path, *_: Any) -> LogTable:
-    """Return the joint states in an HDF5 file."""
+    """Return the joint states in an HDF5 file, of ALOHA's recorder with its joints' names.
+
+    Another number of joints than one or two of ALOHA's arms have stays without names.
+    """
     h5py = import_optional("h5py", "hdf5")
+    layout = "HDF5"
+    choices = ColumnChoices()
+    arrays: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
         datasets: dict[str, Any] = {}
         file.visititems(datasets.__setitem__)
         if _ALOHA_ARRAYS[0] in file:
             datasets = {name: file[name] for name in _ALOHA_ARRAYS if name in file}
-        arrays = {}
+            # ALOHA's files hold no time.
+            layout = "ALOHA HDF5, without time stamps: rows taken to be 50 Hz"
+            choices = ColumnChoices(rate=50.0)
+            joints = [*_ALOHA_JOINTS]
+            if datasets[_ALOHA_ARRAYS[0]].shape[-1] > len(joints):
+                joints = [*map("/".join, product(("left", "right"), joints))]
+            arrays["joint_names"] = np.array(joints)
         for name, data in datasets.items():
             # The group #refs# holds the cell arrays of a MATLAB file.
             if isinstance(data, h5py.Dataset) and not name.startswith("#"):
@@ -331,20 +335,5 @@ def hdf5_table(path: Path, *_: Any) -> LogTable:
                 is_text = data.shape and h5py.check_string_dtype(data.dtype)
                 source = data.asstr() if is_text else data
                 arrays[name] = source[()] if is_text or can_be_column(data) else data
-        if _ALOHA_ARRAYS[0] in arrays:
-            return _aloha_table(path, arrays)
-        return arrays_table(path, "HDF5", arrays)
-
-
-def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
-    """Return ALOHA's arrays (N, joints) as a table, with its joints' names.
-
-    Another number of joints than one or two of its arms have stays without names.
-    """
-    joints = [*_ALOHA_JOINTS]
-    if arrays[_ALOHA_ARRAYS[0]].shape[-1] > len(joints):
-        joints = [*map("/".join, product(("left", "right"), joints))]
-    # ALOHA's files hold no time.
-    layout = "ALOHA HDF5, without time stamps: rows taken to be 50 Hz"
-    table = arrays_table(path, layout, {"joint_names": np.array(joints), **arrays})
-    return replace(table, choices=ColumnChoices(rate=50.0))
+        table = arrays_table(path, layout, arrays)
+    return replace(table, choices=choices)

@@ -50,8 +50,7 @@ def read_recording(
     with prefix_input_errors(str(table.path)):
         columns, cells, velocity_notes = _complete_velocities(columns, cells)
         lines, cells, notes = usable_rows(table, columns, cells, complaint)
-        notes += restart_notes
-        notes += velocity_notes
+        notes += [*restart_notes, *velocity_notes]
         # With fewer, the other checks mean nothing.
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")
@@ -192,10 +191,10 @@ def usable_rows(
         notes.append(f"left out rows that {anomaly}: {count} (first: {first})")
     is_later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
     rows = np.flatnonzero(is_usable)[is_later]
-    if len(rows) < len(cells):
-        lines = lines[rows]
-        cells = cells[rows]
-    return lines, cells, notes
+    if len(rows) == len(cells):
+        # Without a copy.
+        return lines, cells, notes
+    return lines[rows], cells[rows], notes
 
 
 def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator[str]:

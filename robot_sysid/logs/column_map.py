@@ -8,6 +8,7 @@ one line; where two columns could be one quantity, an error lists both.
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.declarations import ColumnChoices, split_factor, unit_value
+from robot_sysid.logs.declarations import JOINT_COLUMNS, ColumnChoices, split_factor
+from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import (
     UNITS,
     Candidates,
@@ -42,34 +44,31 @@ class ColumnFinder:
     """Finds the columns of each quantity of one log.
 
     Attributes:
-        texts: header cells; "#1", "#2", ... where the file has no header.
+        table: the log.
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
-        first_row: the first row of data as text (it may hold joint names, as ROS logs do).
-        currents: whether columns of motor currents are read in place of torques.
-        commanded: whether columns of commanded positions are read in place of torques.
+        only: the one key of them that is heeded, where the others are of another file; "" for all.
     """
 
-    texts: Sequence[str]
+    table: LogTable
     robot: RobotModel
     choices: ColumnChoices
-    first_row: Sequence[str]
-    currents: bool
-    commanded: bool
+    only: str = ""
     _pattern_notes: list[str] = field(default_factory=list)
 
     @cached_property
     def titles(self) -> Sequence[Title]:
         """The header cells, cut into tokens, numbers and unit."""
-        return [read_title(text, self.robot.joint_names) for text in self.texts]
+        names = self.robot.joint_names
+        return [read_title(text, names) for text in self.table.titles]
 
     @cached_property
     def driven(self) -> str:
         """The quantity that is needed beside positions, "torque", "current" or "command"."""
-        if self.commanded:
+        if self.choices.commanded:
             return "command"
         has_currents = len(self._texts_of("current")) >= self.robot.n_joints
-        return "current" if self.currents and has_currents else "torque"
+        return "current" if self.choices.currents and has_currents else "torque"
 
     def _texts_of(self, quantity: str) -> list[str]:
         """Return the titles that name a quantity beside other words."""
@@ -79,30 +78,33 @@ class ColumnFinder:
     def _declared(self) -> Mapping[str, Mapping[str, _Source | None]]:
         """Quantity to joint name to the column that is declared; None for one that has none."""
         joint_names = self.robot.joint_names
-        declared: dict[str, dict[str, _Source | None]] = {}
-        for key, values in self.choices.columns.items():
-            if key == "zero":
+        declared: dict[str, dict[str, _Source | None]] = defaultdict(dict)
+        for name, value in self.choices.entries.items():
+            key, _, joint = name.partition(".")
+            if key not in JOINT_COLUMNS or self.only not in ("", key):
                 continue
             # Currents are declared as torques.
             quantity = "current" if (key, self.driven) == ("torque", "current") else key
-            sources = declared.setdefault(quantity, {})
-            for joint, value in values.items():
-                # Of single joints, only the torque may be missing.
-                if value == "none" and (not joint or key in ("torque", self.driven)):
-                    sources.update(dict.fromkeys([joint] if joint else joint_names))
-                elif joint:
-                    sources[joint] = self._look_up(value)
-                else:
-                    sources.update(zip(joint_names, self._look_up_all(value)))
+            sources = declared[quantity]
+            # Of single joints, only the torque may be missing.
+            if value == "none" and (not joint or key in ("torque", self.driven)):
+                sources.update(dict.fromkeys([joint] if joint else joint_names))
+            elif joint:
+                sources[joint] = self._look_up(value)
+            else:
+                sources.update(zip(joint_names, self._look_up_all(value)))
         return declared
 
     @cached_property
     def _zeros(self) -> Array:
         """What the column of each joint's position reads at zero, (n,)."""
         zeros = np.zeros(self.robot.n_joints)
-        for joint, value in self.choices.columns.get("zero", {}).items():
+        for name, value in self.choices.entries.items():
+            key, _, joint = name.partition(".")
             at = [self.robot.joint_names.index(joint)] if joint else slice(None)
-            zeros[at] = joint_values(parse_numbers(value), len(zeros[at]), "zero")
+            if key == "zero":
+                numbers = parse_numbers(value)
+                zeros[at] = joint_values(numbers, len(zeros[at]), key)
         return zeros
 
     @property
@@ -116,7 +118,7 @@ class ColumnFinder:
         declared = self._declared.get("position", ())
         has_names = len(declared) < self.robot.n_joints
         return match_joints(
-            self.titles, self.robot, self.first_row, self._quantities, has_names
+            self.titles, self.robot, self.table.first_row, self._quantities, has_names
         )
 
     def recognise(self, quantity: str) -> tuple[Column, ...]:
@@ -170,10 +172,10 @@ class ColumnFinder:
             torque=torque,
             velocity=found["velocity"],
             joint_time=found["joint_time"],
-            titles=self.texts,
+            titles=self.table.titles,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             length_declared=bool(self.choices.length_unit) or has_unit,
-            commanded=self.commanded,
+            commanded=self.choices.commanded,
             notes=tuple(filter(None, notes)),
         )
 
@@ -204,8 +206,9 @@ class ColumnFinder:
 
     def find_time(self) -> Column | None:
         """Return the time column, or None where a rate stands in for it."""
-        if self.choices.time is not None:
-            return self._column("time", 0, *self._look_up(self.choices.time))
+        declared = self.choices.entries.get("time")
+        if declared:
+            return self._column("time", 0, *self._look_up(declared))
         if self.choices.rate is not None:
             return None
         joint_names = self.robot.joint_names
@@ -284,11 +287,11 @@ class ColumnFinder:
 
     def _look_up(self, text: str) -> _Source:
         """Return (column index, factor) of "title", "-title" or "0.5 * title"."""
-        texts = self.texts
-        title, factor = split_factor(text, self.texts)
+        texts = self.table.titles
+        title, factor = split_factor(text, texts)
         if title not in texts:
             # The columns by their numbers, from 1.
-            texts = [f"#{number}" for number in range(1, len(texts) + 1)]
+            texts = tuple(f"#{number}" for number in range(1, len(texts) + 1))
         if texts.count(title) == 1:
             return texts.index(title), factor
         raise InputError(
@@ -298,8 +301,9 @@ class ColumnFinder:
     def _look_up_all(self, text: str) -> Sequence[_Source]:
         """Return (column index, factor) of each joint, by a pattern, a range or a list."""
         joint_names = self.robot.joint_names
-        title, factor = split_factor(text, self.texts)
-        fits, note = fit_pattern(title, self.texts, joint_names)
+        texts = self.table.titles
+        title, factor = split_factor(text, texts)
+        fits, note = fit_pattern(title, texts, joint_names)
         if fits:
             self._pattern_notes.append(note)
             return [(column, factor) for column in fits]
@@ -331,13 +335,17 @@ class ColumnFinder:
             factor: by which the column's numbers are to be multiplied beside the unit.
         """
         title = self.titles[index]
-        declared_unit = self.choices.angle_unit
+        unit = self.choices.angle_unit
         if quantity in ("time", "joint_time"):
-            declared_unit = self.choices.time_unit
+            unit = self.choices.time_unit
         elif self.robot.is_slide[joint]:
-            declared_unit = self.choices.length_unit
+            unit = self.choices.length_unit
         units = UNITS[quantity]
-        declared = unit_value(declared_unit, units)
+        # Of an encoder, counts are declared in front of the unit: 4096/rev.
+        counts, _, unit = (unit or "").rpartition("/")
+        declared = units.get(unit)
+        if declared and counts:
+            declared /= float(counts)
         to_si = units.get(title.unit, declared)
         if to_si is None and title.unit and abs(factor) == 1.0:
             raise InputError(

@@ -32,12 +32,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.logs.titles import QUANTITIES, TIME_UNITS
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.titles import TIME_UNITS
 
-# Keys of declarations that may be followed by ".joint".
-_JOINT_KEYS = (*QUANTITIES, "joint_time", "command", "zero")
+JOINT_COLUMNS = ("position", "velocity", "torque", "joint_time", "command")
+"""Keys of declarations that are quantities with a column per joint."""
 # All keys of declarations.
-_KEYS = ("time", *_JOINT_KEYS, "acceleration", "units", "rate")
+_KEYS = ("time", *JOINT_COLUMNS, "zero", "acceleration", "units", "rate")
 # A factor and a title: "0.95 * I3", or a title with a minus: "-M2".
 _SCALED = re.compile(
     r"(?:([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*|-)\s*(.+)", re.ASCII
@@ -57,27 +58,37 @@ class ColumnChoices:
     """Declarations on a log's columns, by the user or by the form of a file; None for undeclared.
 
     Attributes:
-        time: title of the time column.
-        columns: quantity to joint name to title, "-title" or "0.5 * title"; "none" leaves a
-            quantity out. The joint "" stands for all: a pattern, a range or a list.
+        entries: key to value of a columns file, also of a single joint: "torque.elbow".
         angle_unit: "rad", "mrad", "deg", "cdeg", "rev", or counts such as "4096/rev".
         length_unit: of slides, "m" or "mm".
         time_unit: "s", "ms", "us" or "ns".
         rate: samples per second of a log without a time column [Hz].
+        currents: whether columns of motor currents are read in place of torques.
+        commanded: whether columns of commanded positions are read in place of torques.
     """
 
-    time: str | None = None
-    columns: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    entries: Mapping[str, str] = field(default_factory=dict)
     angle_unit: str | None = None
     length_unit: str | None = None
     time_unit: str | None = None
     rate: float | None = None
+    currents: bool = False
+    commanded: bool = False
 
     def over(self, fallback: ColumnChoices) -> ColumnChoices:
         """Return these choices, with those of the fallback where these are undeclared."""
         stated = {name: value for name, value in vars(self).items() if value}
-        stated["columns"] = {**fallback.columns, **self.columns}
         return replace(fallback, **stated)
+
+
+def stated_choices(options: LogOptions, joint_names: Sequence[str]) -> ColumnChoices:
+    """Return what options declare, for a chain with these joints (n,), or raise InputError."""
+    choices = read_columns(options.columns or "", joint_names)
+    return replace(
+        parse_units(options.units or "").over(choices),
+        currents=options.torque_constants is not None,
+        commanded=options.commanded,
+    )
 
 
 def parse_units(text: str) -> ColumnChoices:
@@ -87,7 +98,7 @@ def parse_units(text: str) -> ColumnChoices:
     for unit in units:
         kinds = [kind for kind, form in _UNIT_FORMS.items() if form.fullmatch(unit)]
         chosen.update(dict.fromkeys(kinds, unit))
-    if not units or len(units) > len(chosen):
+    if len(units) > len(chosen) or (text and not units):
         raise InputError(
             f"units {text!r} are not understood; give at most one of rad, mrad, deg, cdeg, rev and "
             "counts such as 4096/rev for angles, one of m and mm for slides, and one of "
@@ -95,13 +106,6 @@ def parse_units(text: str) -> ColumnChoices:
         )
     # Mypy takes the values of ``**`` to be those of any field.
     return ColumnChoices(**chosen)  # type: ignore[arg-type]
-
-
-def unit_value(unit: str | None, units: Mapping[str, float]) -> float | None:
-    """Return the value in SI units of a declared unit, by a table of ``UNITS``; None for none."""
-    counts, slash, turn = (unit or "").rpartition("/")
-    value = units.get(turn)
-    return value / float(counts) if slash and value else value
 
 
 def declarations(source: Path | str) -> Mapping[str, str]:
@@ -172,25 +176,22 @@ def read_columns(source: Path | str, joint_names: Sequence[str]) -> ColumnChoice
 
     InputError where it cannot be read, or a key, joint, unit or number in it is unknown.
     """
-    values = declarations(source)
-    columns: dict[str, dict[str, str]] = {}
-    for key, value in values.items():
-        quantity, _, joint = key.partition(".")
+    entries = declarations(source)
+    for key in entries:
+        joint = key.partition(".")[2]
         if joint and joint not in joint_names:
             valid = f"the chain's joints are {', '.join(joint_names)}"
             raise InputError(
                 f"columns: {key} names the unknown joint {joint!r}; {valid}"
             )
-        if quantity in _JOINT_KEYS:
-            columns.setdefault(quantity, {})[joint] = value
-    units = parse_units(values["units"]) if "units" in values else ColumnChoices()
+    units = parse_units(entries.get("units", ""))
     rate = None
-    if "rate" in values:
+    if "rate" in entries:
         rate = 0.0
         with contextlib.suppress(ValueError):
-            rate = float(values["rate"])
+            rate = float(entries["rate"])
         if not 0.0 < rate < math.inf:
             raise InputError(
                 "columns: rate must be a positive number of samples per second"
             )
-    return replace(units, time=values.get("time"), columns=columns, rate=rate)
+    return replace(units, entries=entries, rate=rate)

@@ -12,7 +12,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +33,14 @@ from robot_sysid.wording import option_name
 def json_table(path: Path, *_: Any) -> LogTable:
     """Return JSON as a table: a state per line, a list of states, or an object of arrays."""
     text = path.read_text(encoding="utf-8-sig")
-    values = _json_values(text)
-    beginning = [*islice(values, 2)]
-    if any(isinstance(value, (dict, list)) for value in beginning[1:]):
-        lines = chain(beginning, values)
+    try:
+        content = json.loads(text, object_hook=_as_rows)
+    except json.JSONDecodeError:
+        second = next(islice(_json_values(text), 1, None), None)
+        if not isinstance(second, (dict, list)):
+            raise
+        lines = _json_values(text)
         return states_table(path, "JSON, a state per line", lines, "state")
-    # Raises where the text is no JSON.
-    content = json.loads(text, object_hook=_as_rows)
     lists = {n: v for n, v in fields(content) if isinstance(v, list)}
     if not any(lists.values()):
         raise InputError(f"{path} holds no list of states, and no arrays")
@@ -116,7 +117,7 @@ def excel_table(path: Path, *_: Any) -> LogTable:
             sheets[sheet.title] = [row for row in rows if row.count(None) < len(row)]
     name = max(sheets, key=lambda title: len(sheets[title]))
     rows = sheets.pop(name)
-    filled = [[cell for cell in row if cell is not None] for row in rows]
+    filled = ([cell for cell in row if cell is not None] for row in rows)
     first = next((k for k, cells in enumerate(filled) if is_row(cells)), 0)
     if not first:
         raise InputError(
@@ -126,9 +127,9 @@ def excel_table(path: Path, *_: Any) -> LogTable:
     titles = [title or f"#{k}" for k, title in enumerate(rows[first - 1], start=1)]
     states = named_rows(path, titles, rows[first:])
     table = states_table(path, f"Excel, sheet {name}", states)
-    others = [title for title, rows in sheets.items() if rows]
-    note = f"sheet {name!r} is read, not {', '.join(others)}" if others else ""
-    return replace(table, notes=(note,) if note else ())
+    others = ", ".join(title for title, rows in sheets.items() if rows)
+    notes = (f"sheet {name!r} is read, not {others}",) if others else ()
+    return replace(table, notes=notes)
 
 
 # Title of when a message was recorded [ns].
@@ -149,10 +150,10 @@ def mcap_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     for topic, state in _mcap_states(path):
         topics[topic].append(state)
     fitting = {}
-    for topic, states in topics.items():
-        table = states_table(path, f"MCAP, topic {topic}", states, "message")
+    for topic in topics if options.topic is None else {options.topic} & topics.keys():
+        table = states_table(path, f"MCAP, topic {topic}", topics[topic], "message")
         quantities = {read_title(t).quantity_beside_name for t in table.titles}
-        if options.topic in (None, topic) and quantities >= {"position", "torque"}:
+        if quantities >= {"position", "torque"}:
             fitting[topic] = table
     if len(fitting) != 1:
         listed = ", ".join(fitting or topics) or "none"

@@ -5,10 +5,9 @@ Two files with times are joined by time, others row by row.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.table import LogTable, array_blocks
-from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, Column, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
 
@@ -33,10 +31,7 @@ class _Half:
 
 
 def join_halves(
-    tables: Sequence[LogTable],
-    robot: RobotModel,
-    choices: ColumnChoices,
-    driven: Collection[str],
+    tables: Sequence[LogTable], robot: RobotModel, choices: ColumnChoices
 ) -> list[LogTable]:
     """Return tables, with each file of positions alone joined with the file of its torques.
 
@@ -46,12 +41,11 @@ def join_halves(
         tables: of the files, in the order in which the user gave them.
         robot: the arm.
         choices: declarations, which outrank the titles.
-        driven: quantities that are needed beside positions, such as torque.
 
     Raises:
         InputError: the numbers of files differ, or two of them cannot be joined.
     """
-    halves = [_find(table, robot, choices, driven) for table in tables]
+    halves = [_find(table, robot, choices) for table in tables]
     positions = [half for half in halves if half.position and not half.torque]
     torques = [half for half in halves if half.torque and not half.position]
     if not positions or not torques:
@@ -71,38 +65,29 @@ def join_halves(
     return joined
 
 
-def _find(
-    table: LogTable, robot: RobotModel, choices: ColumnChoices, driven: Collection[str]
-) -> _Half:
+def _find(table: LogTable, robot: RobotModel, choices: ColumnChoices) -> _Half:
     """Return which columns of a table are positions, torques and time."""
-    titles = [read_title(text, robot.joint_names) for text in table.titles]
+    stated = replace(choices.over(table.choices), currents=False)
+    finder = ColumnFinder(table, robot, stated)
+    declared = {key.partition(".")[0] for key in choices.entries}
 
-    def recognise(key: str, **columns: Any) -> Sequence[Column]:
-        """Return the columns of a quantity, of declared columns these alone."""
-        stated = replace(choices, columns=columns).over(table.choices)
-        finder = ColumnFinder(
-            table.titles, robot, stated, table.first_row, False, "command" in driven
-        )
-        return finder.recognise(key)
-
-    def indices(*quantities: str) -> list[int]:
-        """Return the columns that are one of some quantities; none where joints lack theirs."""
-        declared = [key for key in quantities if key in choices.columns]
-        if declared:
+    def indices(key: str, *others: str) -> list[int]:
+        """Return the columns of a quantity, as it is declared, or else as titles name it or one of
+        others; none where joints lack theirs.
+        """
+        if key in declared:
             # What is declared of the other file is not in this one, and a joint without torque has
             # no column.
-            columns = recognise(
-                declared[0], **{declared[0]: choices.columns[declared[0]]}
-            )
+            columns = replace(finder, only=key).recognise(key)
             return [column.index for column in columns if column.factor]
-        found = [
-            k for k, t in enumerate(titles) if t.quantity_beside_name in quantities
-        ]
+        quantities = [title.quantity_beside_name for title in finder.titles]
+        found = [k for k, q in enumerate(quantities) if q in (key, *others)]
         return found if len(found) >= robot.n_joints else []
 
+    driven = ["command"] if choices.commanded else ["torque", "current"]
     return _Half(
         table,
-        recognise("time"),
+        finder.recognise("time"),
         indices("position"),
         indices("velocity"),
         indices(*driven),
@@ -114,8 +99,8 @@ def _join(position: _Half, torque: _Half) -> LogTable:
     q_time, tau_time = ([c.index for c in half.time] for half in (position, torque))
     q_columns = [*q_time, *position.position, *position.velocity]
     tau_columns = [*tau_time, *torque.torque]
-    q = _cells(position.table, q_columns)
-    tau = _cells(torque.table, tau_columns)
+    q = position.table.cells(q_columns)
+    tau = torque.table.cells(tau_columns)
     how = "row by row"
     if q_time and tau_time:
         # The times of both in the unit of the first.
@@ -146,12 +131,6 @@ def _join(position: _Half, torque: _Half) -> LogTable:
             f"positions of {table} and torques of {torque.table} are one log, joined {how}",
         ),
     )
-
-
-def _cells(table: LogTable, columns: Sequence[int]) -> Array:
-    """Return all rows of a table with some of its columns."""
-    none = np.empty((0, len(columns)))
-    return np.concatenate([none, *(block.cells for block in table.rows(columns))])
 
 
 def _are_equal(times: Array, others: Array) -> bool:

@@ -23,12 +23,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, documents
 from robot_sysid.logs.checks import read_recording
 from robot_sysid.logs.column_map import ColumnFinder
-from robot_sysid.logs.declarations import (
-    ColumnChoices,
-    declarations,
-    parse_units,
-    read_columns,
-)
+from robot_sysid.logs.declarations import ColumnChoices, stated_choices
 from robot_sysid.logs.halves import join_halves
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
@@ -49,40 +44,6 @@ from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 from robot_sysid.wording import is_for_python, option_setting, with_option_names
 
 
-def open_log(
-    robot: RobotModel,
-    source: Path | LogTable | Recording,
-    options: LogOptions,
-    progress: Progress | None = None,
-) -> Recording:
-    """Return the recording in a log of an arm, read and checked, or raise InputError.
-
-    Args:
-        robot: the arm, whose joints the columns are for.
-        source: a file, a table, or a log that was opened before, which is returned unchanged.
-        options: declared columns, units and torque scale.
-        progress: receives the progress of reading.
-    """
-    if isinstance(source, Recording):
-        _refuse_other_reading(source, robot, options)
-        return source
-    path = Path(source)
-    names = robot.joint_names
-    table = source if isinstance(source, LogTable) else open_table(path, names, options)
-    columns = _map_columns(table, path, robot, options)
-    constants = joint_factors(options.torque_constants, names, CONSTANTS)[0]
-    scale = joint_factors(options.torque_scale, names, SCALE)[0]
-    factors = zip(columns.torque, (constants / scale).tolist())
-    torque = [replace(column, factor=k * column.factor) for column, k in factors]
-    columns = replace(columns, torque=tuple(torque))
-    recording = read_recording(table, columns, robot, progress or Progress())
-    details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
-    source_notes = (*table.notes, *columns.notes)
-    pieces = piece_notes(recording, split_at_gaps(recording))
-    notes = (*details, *source_notes, *recording.notes, *pieces)
-    return replace(recording, notes=notes, options=vars(options))
-
-
 def open_logs(
     robot: RobotModel,
     sources: Iterable[Path | LogTable | Recording],
@@ -90,27 +51,59 @@ def open_logs(
     progress: Progress | None = None,
     kind: str = "",
 ) -> list[Recording]:
-    """Return the recordings in logs of an arm; a file of positions and one of torques are one log.
+    """Return the recordings in logs of an arm, read and checked, or raise InputError.
+
+    A file of positions and one of torques are one log.
 
     Args:
-        robot: see ``open_log``.
-        sources: see ``open_log``; the order is kept.
-        options: see ``open_log``.
+        robot: the arm, whose joints the columns are for.
+        sources: files, tables, or logs that were opened before, which are returned unchanged; the
+            order is kept.
+        options: declared columns, units and torque scale.
         progress: receives a stage per log, and the progress of reading.
         kind: what the logs are, for the stages; "" for no stages.
     """
+    progress = progress or Progress()
     opened: list[Any] = []
     for source in sources:
-        if kind and progress:
+        if kind:
             progress.stage(f"Reading {kind} {source}...")
         if not isinstance(source, (LogTable, Recording)):
             source = open_table(Path(source), robot.joint_names, options)
         opened.append(source)
+    choices = stated_choices(options, robot.joint_names)
     if not any(isinstance(source, Recording) for source in opened):
-        driven = {"command"} if options.commanded else {"torque", "current"}
-        choices = _stated_choices(options, robot)
-        opened = join_halves(opened, robot, choices, driven)
-    return [open_log(robot, source, options, progress) for source in opened]
+        opened = join_halves(opened, robot, choices)
+    logs = []
+    for source in opened:
+        if isinstance(source, Recording):
+            _refuse_other_reading(source, robot, options)
+            logs.append(source)
+        else:
+            logs.append(_read_table(source, robot, options, choices, progress))
+    return logs
+
+
+def _read_table(
+    table: LogTable,
+    robot: RobotModel,
+    options: LogOptions,
+    choices: ColumnChoices,
+    progress: Progress,
+) -> Recording:
+    """Return the recording in a log, read and checked; ``choices`` are what options declare."""
+    columns = _map_columns(ColumnFinder(table, robot, choices.over(table.choices)))
+    names = robot.joint_names
+    constants = joint_factors(options.torque_constants, names, CONSTANTS)[0]
+    scale = joint_factors(options.torque_scale, names, SCALE)[0]
+    factors = zip(columns.torque, (constants / scale).tolist())
+    torque = [replace(column, factor=k * column.factor) for column, k in factors]
+    columns = replace(columns, torque=tuple(torque))
+    recording = read_recording(table, columns, robot, progress)
+    details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
+    pieces = piece_notes(recording, split_at_gaps(recording))
+    notes = (*details, *table.notes, *columns.notes, *recording.notes, *pieces)
+    return replace(recording, notes=notes, options=vars(options))
 
 
 def _refuse_other_reading(
@@ -125,10 +118,10 @@ def _refuse_other_reading(
             f"{log} was read for the joints {join_names(log.joint_names)}, and the chain of this "
             f"model has {join_names(robot.joint_names)}; read it with this model"
         )
-    for name, option in options_of(options).items():
+    for name, option in options_of(LogOptions).items():
         value = getattr(options, name)
-        is_stated = name in _FACTOR_OPTIONS or (name in _READING_OPTIONS and value)
-        if is_stated and value != log.options[name]:
+        is_stated = value or name in (SCALE, CONSTANTS)
+        if is_stated and name != "accept" and value != log.options[name]:
             raise InputError(
                 f"{log} was read without {option.name}, or with another one: give read_log and "
                 "this call the same"
@@ -147,34 +140,19 @@ def refuse_repeated_logs(logs: Sequence[Recording]) -> None:
             )
 
 
-def _stated_choices(options: LogOptions, robot: RobotModel) -> ColumnChoices:
-    """Return the units and columns that options declare for an arm."""
-    choices = parse_units(options.units) if options.units else ColumnChoices()
-    if options.columns:
-        choices = choices.over(read_columns(options.columns, robot.joint_names))
-    return choices
-
-
-def _map_columns(
-    table: LogTable, path: Path, robot: RobotModel, options: LogOptions
-) -> ColumnMap:
+def _map_columns(finder: ColumnFinder) -> ColumnMap:
     """Return the column of each quantity of a log, declared or recognised.
 
-    ``path`` is the log's, for messages. InputError where columns are missing.
+    InputError where columns are missing, with the line that declares them as far as it is known.
     """
-    declared = declarations(options.columns) if options.columns else {}
-    choices = _stated_choices(options, robot).over(table.choices)
-    currents = options.torque_constants is not None
-    finder = ColumnFinder(
-        table.titles, robot, choices, table.first_row, currents, options.commanded
-    )
+    table = finder.table
     try:
         return finder.find_all()
     except InputError as error:
-        fault = "; ".join((f"{path}: {error}", *table.notes))
+        fault = "; ".join((f"{table}: {error}", *table.notes))
         suggestion = None
         if isinstance(error, UnrecognisedError):
-            suggestion = suggest_columns(table, finder, declared)
+            suggestion = suggest_columns(finder)
         if suggestion is None:
             if not error.options:
                 titles = ", ".join(table.titles)
@@ -247,10 +225,6 @@ _HALF = (
     "if positions and torques are in two files, give both, one after the other, with titles such "
     "as q1 and tau1"
 )
-# Fields of options that change what is read from a log.
-_READING_OPTIONS = ("columns", "units", "topic", "episode")
-# Fields of options that change torques.
-_FACTOR_OPTIONS = ("torque_scale", "torque_constants")
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:

@@ -186,17 +186,13 @@ def _read_topic(
     arm_joints: Collection[str] = ()
     with contextlib.suppress(InputError):
         arm_joints = match_joint_names([joint for joint, _ in sent], joint_names)
-    start = min(stamp for stamp, _ in messages)
-    titles = ("time", *map(" ".join, sent))
-    connections = _connections(bag, name)
-    message_type = connections[0].msgtype
-    layout = f"ROS bag, topic {name} ({message_type}), joints by name"
-    n_messages = sum(connection.msgcount for connection in connections)
-    complete = []
-    for quantity in ("position", *TORQUE):
-        if arm_joints and sent.keys() >= {*product(arm_joints, [quantity])}:
-            complete.append(quantity)
+    complete = [
+        quantity
+        for quantity in ("position", *TORQUE)
+        if arm_joints and sent.keys() >= {*product(arm_joints, [quantity])}
+    ]
     has_torque = not {*complete}.isdisjoint(TORQUE)
+    is_powered = any(map(sent.get, product(arm_joints, TORQUE)))
     # Others may publish a gripper, or a few joints of the arm, on the same topic.
     arm_keys = {*product(arm_joints, complete)}
     notes: tuple[str, ...] = ()
@@ -206,16 +202,21 @@ def _read_topic(
         )
     else:
         arm_keys.clear()
+    connections = _connections(bag, name)
+    message_type = connections[0].msgtype
+    n_messages = sum(connection.msgcount for connection in connections)
+    start = min(stamp for stamp, _ in messages)
     read = partial(_read_chunks, path, name, list(sent), start, arm_keys)
-    blocks = partial(chunk_blocks, read, n_messages)
-    is_powered = any(map(sent.get, product(arm_joints, TORQUE)))
-    yield Topic(
-        name,
-        message_type,
-        LogTable(path, layout, titles, blocks, row_noun="message", notes=notes),
-        n_messages,
-        rank=("position" in complete, has_torque, has_torque and is_powered),
+    table = LogTable(
+        path,
+        f"ROS bag, topic {name} ({message_type}), joints by name",
+        ("time", *map(" ".join, sent)),
+        partial(chunk_blocks, read, n_messages),
+        row_noun="message",
+        notes=notes,
     )
+    rank = ("position" in complete, has_torque, has_torque and is_powered)
+    yield Topic(name, message_type, table, n_messages, rank)
 
 
 def _read_chunks(

@@ -127,12 +127,15 @@ def states_table(
             columns.update(dict.fromkeys(row))
         unread = dict.fromkeys(columns, np.inf)
         read = [unread if row is None else row for row in rows]
-        cells = [[row.get(title, np.nan) for title in columns] for row in read]
-        chunks.append(np.array(cells))
+        chunks.append(
+            np.array([[row.get(title, np.nan) for title in columns] for row in read])
+        )
     if not columns:
         raise InputError(f"{path} holds no numbers in states")
     # Columns that came up later are empty in earlier states.
-    widths = [((0, 0), (0, len(columns) - cells.shape[1])) for cells in chunks]
-    padded = [np.pad(c, w, constant_values=np.nan) for c, w in zip(chunks, widths)]
+    padded = []
+    for cells in chunks:
+        later = np.full((len(cells), len(columns) - cells.shape[1]), np.nan)
+        padded.append(np.hstack((cells, later)))
     blocks = partial(array_blocks, [np.concatenate(padded)])
     return LogTable(path, layout, tuple(columns), blocks, row_noun=row_noun)

@@ -10,10 +10,10 @@ the line has a "?", which is refused until it is filled in.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from itertools import chain, islice, permutations
+from dataclasses import dataclass, field
+from itertools import chain, permutations
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from robot_sysid.records import Array, RobotModel
 
 BLANK = "?"
 """What stands for a column or a unit that could not be told."""
-# Cells of a first row that are numbers, times or empty.
+# Cells of a first row that are numbers, times or empty, or nearly so.
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
 # Words of titles of an encoder's counts, which are positions.
 _COUNTS = token_set("ticks counts encoder enc")
@@ -62,53 +62,37 @@ class Group:
     @property
     def quantity(self) -> str | None:
         """What its title names beside other words: a quantity, or how a torque was not measured."""
-        kind = self.title.torque_kind
-        if _COUNTS & {*self.title.tokens}:
+        if not _COUNTS.isdisjoint(self.title.tokens):
             return "position"
-        return (
-            kind
-            if kind in ("commanded", "computed")
-            else self.title.quantity_beside_name
-        )
+        kind = self.title.torque_kind
+        is_other = kind in ("commanded", "computed")
+        return kind if is_other else self.title.quantity_beside_name
 
     def __str__(self) -> str:
-        low = np.min(self.samples)
-        high = np.max(self.samples)
-        return f"{self.text} ({low:.4g} to {high:.4g})"
+        return f"{self.text} ({self.samples.min():.4g} to {self.samples.max():.4g})"
 
 
+@dataclass(frozen=True)
 class Suggestion:
     """Declarations that a log lacks, found one after the other.
 
-    Args:
+    Attributes:
         finder: of the log's columns, with what was declared.
         samples: (N, C) numbers of all columns.
         groups: of columns.
-        declared: key to value of the line that was given.
-        reason: a sentence on the columns.
-
-    Attributes:
         entries: key to value of the line.
         units: of the line.
-        further: options that it needs beside.
         reasons: sentences on columns, and on what their numbers told.
+        further: options that it needs beside.
     """
 
-    def __init__(
-        self,
-        finder: ColumnFinder,
-        samples: Array,
-        groups: Sequence[Group],
-        declared: Mapping[str, str],
-        reason: str,
-    ) -> None:
-        self.finder = finder
-        self.samples = samples
-        self.groups = groups
-        self.entries = {**declared}
-        self.units = [*filter(None, [declared.get("units")])]
-        self.further: tuple[str, ...] = ()
-        self.reasons = [reason]
+    finder: ColumnFinder
+    samples: Array
+    groups: Sequence[Group]
+    entries: dict[str, str]
+    units: list[str]
+    reasons: list[str]
+    further: list[str] = field(default_factory=list)
 
     def find_time(self, columns: Collection[int]) -> Array:
         """Return the times (N,) [s]; numbers of rows where no column is the time.
@@ -119,6 +103,7 @@ class Suggestion:
         """
         finder = self.finder
         titles = finder.titles
+        seconds = UNITS["time"]
         clock = np.arange(len(self.samples), dtype=float)
         if finder.choices.rate:
             return clock / finder.choices.rate
@@ -126,29 +111,27 @@ class Suggestion:
         if not indices:
             steady = [k for k in _steady_columns(self.samples) if k in columns]
             # A column that counts rows is no clock, unless it is called so, or has a unit of time.
-            named = [
+            indices = [
                 k
                 for k in steady
-                if titles[k].quantity_beside_name == "time"
-                or titles[k].unit in UNITS["time"]
+                if titles[k].quantity_beside_name == "time" or titles[k].unit in seconds
             ]
             steps = np.diff(self.samples, axis=0)
-            indices = named or [k for k in steady if np.any(steps[:, k] != 1.0)]
-            key = "time" if indices else "rate"
-            self.entries[key] = BLANK
+            indices = indices or [k for k in steady if np.any(steps[:, k] != 1.0)]
             if len(indices) != 1:
+                self.entries["time" if indices else "rate"] = BLANK
                 return clock
-            self.entries[key] = column_text(finder.texts, indices[0])
-            self.reasons.append(f"{finder.texts[indices[0]]!r} increases steadily")
+            self.entries["time"] = column_text(finder.table.titles, indices[0])
+            self.reasons.append(f"{titles[indices[0]].text!r} increases steadily")
         unit = titles[indices[0]].unit or finder.choices.time_unit
-        clock = self.samples[:, indices[0]] * UNITS["time"].get(unit or "s", 1.0)
+        clock = self.samples[:, indices[0]] * seconds.get(unit or "s", 1.0)
         if unit:
             return clock
         # Of rates from 10 to 5000 Hz, one unit of time at most makes one.
         period = np.median(np.diff(clock))
-        units = [u for u in TIME_UNITS if 2e-4 <= period * UNITS["time"][u] <= 0.1]
-        self.units += [unit for unit in units or [BLANK] if unit != "s"]
-        return clock * (UNITS["time"][units[0]] if units else np.nan)
+        units = [u for u in TIME_UNITS if 2e-4 <= period * seconds[u] <= 0.1] or [BLANK]
+        self.units.extend(unit for unit in units if unit != "s")
+        return clock * seconds.get(units[0], np.nan)
 
     def find_motion(self, clock: Array) -> Array | None:
         """Return positions (N, n) [rad], with their units; None where they cannot be told.
@@ -166,11 +149,11 @@ class Suggestion:
             g for g in self.groups if g.quantity in (None, "position", "velocity")
         ]
         # Columns and their derivatives to the ratio of these.
-        ratios = {}
-        for group, other in permutations(motions, 2):
-            ratio = _derivative_ratio(group.samples, other.samples, clock)
-            if ratio:
-                ratios[group.text, other.text] = ratio
+        ratios = {
+            (group.text, other.text): ratio
+            for group, other in permutations(motions, 2)
+            if (ratio := _derivative_ratio(group.samples, other.samples, clock))
+        }
         derived = {text for _, text in ratios}
         candidates = self._of_quantity("position")
         if not candidates:
@@ -208,6 +191,7 @@ class Suggestion:
         """
         robot = self.finder.robot
         choices = self.finder.choices
+        values = UNITS["position"]
         reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
         # More than an arm's joints have.
         reach[np.isinf(reach) & ~robot.is_slide] = 4.0 * np.pi
@@ -221,7 +205,6 @@ class Suggestion:
             largest = np.max(excess[is_kind], initial=0.0)
             if declared or largest <= _MARGIN:
                 continue
-            values = UNITS["position"]
             fitting = [u for u in units if values[u] * largest <= _MARGIN]
             # Near the range, a zero may be elsewhere.
             if is_whole or not fitting or largest < _MARGIN**3:
@@ -241,27 +224,26 @@ class Suggestion:
         driven = self.finder.driven
         if self.finder.recognise(driven):
             return
-        is_torque = driven == "torque"
-        quantities = [driven, "current", "commanded"] if is_torque else [driven]
+        quantities = [driven]
+        if driven == "torque":
+            quantities += ["current", "commanded"]
         candidates = next(filter(None, map(self._of_quantity, quantities)), [])
+        if not candidates and driven == "torque" and position is not None:
+            for group in self.groups:
+                is_free = not group.quantity and group.text not in self.entries.values()
+                if is_free and _follows_weight(
+                    self.finder.robot, position, group.samples
+                ):
+                    candidates.append(group)
+                    self.reasons.append(f"{group.text} follow the arm's weight")
         quantity = candidates[0].quantity if candidates else None
-        if is_torque and quantity == "current":
-            self.further = ("--torque-constants", "1")
+        if quantity == "current" and driven == "torque":
+            self.further.extend(("--torque-constants", "1"))
         if quantity == "commanded":
             self.reasons.append(
                 f"{candidates[0].text} were commanded, not measured: they are the arm's torque "
                 "only where motors follow closely and gravity is in them"
             )
-        if is_torque and not candidates and position is not None:
-            others = [g for g in self.groups if g.text not in self.entries.values()]
-            robot = self.finder.robot
-            candidates = [
-                group
-                for group in others
-                if not group.quantity
-                and _follows_weight(robot, position, group.samples)
-            ]
-            self.reasons += [f"{g.text} follow the arm's weight" for g in candidates]
         key = "torque" if driven == "current" else driven
         self.entries[key] = candidates[0].text if len(candidates) == 1 else BLANK
 
@@ -273,29 +255,26 @@ class Suggestion:
         return [group for group in groups if group.columns[0] in measured]
 
 
-def suggest_columns(
-    table: LogTable, finder: ColumnFinder, declared: Mapping[str, str]
-) -> Suggestion | None:
-    """Return the declarations that a log lacks; None where no columns are a group.
-
-    Args:
-        table: the log.
-        finder: of its columns, with what was declared.
-        declared: key to value of the line that was given.
+def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
+    """Return the declarations that a log lacks, behind those that were given; None where no columns
+    are a group.
     """
-    samples = _read_samples(table)
+    samples = _read_samples(finder.table)
     groups = [*_find_groups(finder, samples)]
     if not groups:
         return None
+    titles = finder.table.titles
     grouped = {*chain.from_iterable(group.columns for group in groups)}
-    others = [k for k in range(len(finder.texts)) if k not in grouped]
-    listed = ", ".join([*map(str, groups), *(finder.texts[k] for k in others)])
-    reason = f"its columns are {listed}"
-    suggestion = Suggestion(finder, samples, groups, declared, reason)
+    others = [k for k in range(len(titles)) if k not in grouped]
+    listed = ", ".join([*map(str, groups), *(titles[k] for k in others)])
+    entries = {**finder.choices.entries}
+    units = [*filter(None, [entries.get("units")])]
+    reasons = [f"its columns are {listed}"]
+    suggestion = Suggestion(finder, samples, groups, entries, units, reasons)
     clock = suggestion.find_time(others)
     suggestion.find_driven(suggestion.find_motion(clock))
-    if suggestion.units:
-        suggestion.entries["units"] = ", ".join(suggestion.units)
+    if units:
+        entries["units"] = ", ".join(units)
     return suggestion
 
 
@@ -307,8 +286,7 @@ def _read_samples(table: LogTable) -> Array:
     first_row = table.first_row or [""] * len(table.titles)
     columns = [k for k, cell in enumerate(first_row) if _NUMBER.fullmatch(cell)]
     # 50 000 rows, or 5 million characters.
-    blocks = islice(table.rows(columns), 5)
-    cells = np.vstack([np.empty((0, len(columns))), *(b.cells for b in blocks)])
+    cells = table.cells(columns, 5)
     rows = np.arange(len(cells))
     samples = np.full((len(cells), len(table.titles)), np.nan)
     for column, numbers in zip(columns, cells.T):
@@ -324,7 +302,7 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
     Columns of the other arm of two are none, nor are constants, which no sensor of a moving arm
     reads at all joints.
     """
-    texts = finder.texts
+    texts = finder.table.titles
     names = finder.robot.joint_names
     own_pieces = {*chain.from_iterable(map(split_name, names))}
     numbers = np.flatnonzero(np.isfinite(samples).any(axis=0)).tolist()

@@ -10,6 +10,7 @@ import contextlib
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,12 @@ class LogTable:
         """
         with as_input_errors(self.path, self.form):
             yield from self.blocks(columns)
+
+    def cells(self, columns: Sequence[int], most_blocks: int | None = None) -> Array:
+        """Return these columns of all rows (R, C), or of those of the first blocks."""
+        blocks = islice(self.rows(columns), most_blocks)
+        none = np.empty((0, len(columns)))
+        return np.vstack([none, *(block.cells for block in blocks)])
 
 
 def import_optional(module: str, extra: str) -> Any:

@@ -12,7 +12,6 @@ import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from io import TextIOWrapper
 from itertools import product
 from pathlib import Path
@@ -34,6 +33,8 @@ _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "bl
 _LONGEST_LINE = 100_000
 CHUNK = 1_000_000
 """Number of characters of a log that are in memory as lines at a time."""
+# Characters that no line of text holds.
+_BINARY = re.compile(r"[\0-\x08\x0b-\x1f]")
 # Characters with which a comment line begins.
 _COMMENT = ("#", "%")
 
@@ -60,36 +61,35 @@ class Dialect:
 
     def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield the rows of a log, with the columns of these indices; dates as seconds."""
-        chunks = _read_lines(self.path, self.encoding, CHUNK, self.header_line)
-        for first, lines, share in chunks:
+        for first, lines, share in self._lines():
             cells = self._read_plain_rows(lines)
             if cells is not None:
                 line_numbers = np.arange(first, first + len(cells))
                 yield Block(line_numbers, cells[:, list(columns)], "", share)
                 continue
-            numbers = []
-            rows = []
+            rows = {}
             complaint = ""
             for number, line in enumerate(lines, first):
                 if not _may_be_row(line):
                     continue
                 try:
-                    row = self._read_row(columns, line)
+                    rows[number] = self._read_row(columns, line)
                 except ValueError as error:
-                    row = [np.inf] * len(columns)
+                    rows[number] = [np.inf] * len(columns)
                     complaint = complaint or f"line {number}{error}"
-                numbers.append(number)
-                rows.append(row)
             if rows:
-                yield Block(np.array(numbers), np.array(rows), complaint, share)
+                cells = np.array([*rows.values()])
+                yield Block(np.array([*rows]), cells, complaint, share)
 
     def rows(self) -> Iterator[list[str]]:
         """Yield the cells of each row as text, also of rows that have not a cell per title."""
-        chunks = _read_lines(self.path, self.encoding, CHUNK, self.header_line)
-        for _, lines, _ in chunks:
-            yield from (
-                split_line(line, self.separator) for line in filter(_may_be_row, lines)
-            )
+        for _, lines, _ in self._lines():
+            for line in filter(_may_be_row, lines):
+                yield split_line(line, self.separator)
+
+    def _lines(self) -> Iterator[tuple[int, list[str], float]]:
+        """Yield the lines below the header, see ``_read_lines``."""
+        return _read_lines(self.path, self.encoding, CHUNK, self.header_line)
 
     def _read_plain_rows(self, lines: Sequence[str]) -> Array | None:
         """Return the cells (R, C) of lines that are all rows of plain numbers, else None.
@@ -240,7 +240,6 @@ def is_row(cells: Sequence[Any]) -> bool:
     return 2 * sum(map(is_number, cells)) > len(cells)
 
 
-@lru_cache(maxsize=4)
 def _date(cell: str) -> np.datetime64:
     """Return the date and time in a cell, 1970 for "", or raise ValueError.
 
@@ -296,7 +295,8 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
     rows: list[tuple[int, str]] = []
     for first, lines, _ in _read_lines(path, encoding, _LONGEST_LINE):
         for number, line in enumerate(lines, first):
-            if _may_be_row(line) and _is_text(line):
+            is_text = len(line) < _LONGEST_LINE and not _BINARY.search(line)
+            if is_text and _may_be_row(line):
                 rows.append((number, line))
             elif line.strip() and not rows:
                 above = line.strip()
@@ -309,11 +309,6 @@ def _may_be_row(line: str) -> bool:
     """Return whether a line is neither empty nor a comment."""
     text = line.lstrip()
     return bool(text) and not text.startswith(_COMMENT)
-
-
-def _is_text(line: str) -> bool:
-    """Return whether a line is as long as those of text may be, and not binary."""
-    return len(line) < _LONGEST_LINE and not re.search(r"[\0-\x08\x0b-\x1f]", line)
 
 
 def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
@@ -345,7 +340,7 @@ _QUANTITIES = {
 def write_measurement_csv(
     path: Path, joint_names: Sequence[str], chunks: Iterable[Recording]
 ) -> None:
-    """Write samples as CSV that ``reader.open_log`` reads, with every digit.
+    """Write samples as CSV that ``reader.open_logs`` reads, with every digit.
 
     Columns are called ``<joint>_position`` and so on; the file appears when it is complete. All
     chunks have the quantities of the first.

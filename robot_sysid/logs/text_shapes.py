@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from robot_sysid.errors import InputError
 from robot_sysid.logs.states import list_in_cell, named_rows, states_table
 from robot_sysid.logs.table import LogTable
@@ -52,17 +54,13 @@ def _echo_state(cells: Sequence[str]) -> Mapping[str, Any]:
 
     The line has seconds, nanoseconds, frame, the joints' names, and three numbers for each.
     """
-    if not re.fullmatch(r"\d+,\d+", ",".join(cells[:2])):
+    is_stamped = re.fullmatch(r"\d+,\d+", ",".join(cells[:2]))
+    if not is_stamped or len(cells) < 7 or len(cells) % 4 != 3:
         return {}
-    count, remainder = divmod(len(cells) - 3, 4)
-    if remainder or not count:
-        return {}
-    names, *numbers = (
-        [*cells[start : start + count]] for start in range(3, len(cells), count)
-    )
+    lists = np.reshape(cells[3:], (4, -1)).tolist()
     stamp = {"sec": cells[0], "nanosec": cells[1]}
-    lists = zip(("position", "velocity", "effort"), numbers)
-    return {"header": {"stamp": stamp}, "name": names, **dict(lists)}
+    message = dict(zip(("name", "position", "velocity", "effort"), lists))
+    return {"header": {"stamp": stamp}, **message}
 
 
 # Title of a column that names the signal or the joint of its row.
@@ -93,7 +91,9 @@ def _long_table(dialect: Dialect) -> LogTable | None:
     measured = [k for k in columns if k not in (*naming, *times)]
     if not naming or len(times) != 1 or not measured:
         return None
-    time_column = times[0]
+    (time_column,) = times
+    time_title = titles[time_column]
+    # Name and cells of each row.
     rows = []
     for cells in dialect.rows():
         if len(cells) == len(titles) and is_number(cells[time_column]):
@@ -110,11 +110,10 @@ def _long_table(dialect: Dialect) -> LogTable | None:
     repeated = 0
     for name, cells in rows:
         time = cells[time_column]
-        state = states.setdefault(read[name] if in_turn else time, {})
+        state = states.setdefault(read[name] if in_turn else time, {time_title: time})
         read[name] += 1
         row = {name if is_value else f"{name}/{titles[k]}": cells[k] for k in measured}
         repeated += row.keys() <= state.keys()
-        state.setdefault(titles[time_column], time)
         state.update(row)
         if in_turn:
             state[f"{name}/time"] = time
@@ -124,7 +123,5 @@ def _long_table(dialect: Dialect) -> LogTable | None:
             "another one; give each recording a file of its own"
         )
     layout = f"a row per signal and instant, {len(counts)} signals"
-    ordered = sorted(
-        states.values(), key=lambda state: parse_cell(state[titles[time_column]])
-    )
+    ordered = sorted(states.values(), key=lambda state: parse_cell(state[time_title]))
     return states_table(dialect.path, layout, ordered)

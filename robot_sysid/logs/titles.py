@@ -232,9 +232,16 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
             title = replace(read_title(match[1] or match[2]), text=text, joint=name)
             if title.joint_quantity and not title.numbers:
                 return title
-    unit, unitless = _split_bracketed_unit(stripped.lstrip("%#"))
+    unit = ""
+    unitless = stripped.lstrip("%#")
+    for content in _BRACKETS.findall(unitless):
+        # What ends in a number is a joint's.
+        index = _INDEX.fullmatch(content.strip())
+        if not index:
+            unit = re.sub(r"[^a-z0-9°µ]", "", content.lower().replace("μ", "µ"))
+        unitless = _BRACKETS.sub(f" {index[0]} " if index else " ", unitless, count=1)
     numbers = []
-    tokens = []
+    phrase = " "
     trailing_unit = ""
     for piece in _pieces(unitless):
         if piece.isdigit():
@@ -242,26 +249,12 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
         elif piece in _UNIT_TOKENS:
             trailing_unit += piece
         else:
-            tokens.append(piece)
-    phrase = f" {' '.join(tokens)} "
+            phrase += f"{piece} "
     for separate, joined in _JOINED.items():
         phrase = phrase.replace(separate, joined)
     joint = _words_beside_quantity(unitless)
-    return Title(
-        text, tuple(phrase.split()), tuple(numbers), unit or trailing_unit, joint
-    )
-
-
-def _split_bracketed_unit(text: str) -> tuple[str, str]:
-    """Return (unit in brackets, title without it); what ends in a number there is a joint's."""
-    unit = ""
-    for content in _BRACKETS.findall(text):
-        if _INDEX.fullmatch(content.strip()):
-            text = _BRACKETS.sub(rf" {content.strip()} ", text, count=1)
-        else:
-            unit = re.sub(r"[^a-z0-9°µ]", "", content.lower().replace("μ", "µ"))
-            text = _BRACKETS.sub(" ", text, count=1)
-    return unit, text
+    tokens = tuple(phrase.split())
+    return Title(text, tokens, tuple(numbers), unit or trailing_unit, joint)
 
 
 def _pieces(text: str) -> list[str]:
@@ -325,8 +318,6 @@ def fit_pattern(
     return (), ""
 
 
-QUANTITIES = ("position", "velocity", "torque")
-"""Measured quantities with a column per joint."""
 Candidates = Mapping[str, Sequence[Sequence[int]]]
 """Quantity to the indices of the columns that could be it: a list per joint, base to terminal."""
 
@@ -356,11 +347,9 @@ def match_joints(
     """
     joint_names = robot.joint_names
     listed_names = _listed_names(titles, first_row, robot.n_joints)
-    # Quantity to the name, or the number, of a joint to indices of columns.
-    by_name: Mapping[str | None, dict[str, list[int]]]
-    by_name = defaultdict(lambda: defaultdict(list))
-    by_number: Mapping[str | None, dict[int, list[int]]]
-    by_number = defaultdict(lambda: defaultdict(list))
+    # Quantity, and name or number of a joint, to indices of columns.
+    named: Mapping[Any, list[int]] = defaultdict(list)
+    counted: Mapping[Any, list[int]] = defaultdict(list)
     for column, title in enumerate(titles):
         name = title.joint
         numbers = title.numbers
@@ -368,30 +357,31 @@ def match_joints(
         if quantity and len(numbers) == 1:
             name = listed_names.get(numbers[0], name)
         if name:
-            by_name[quantity or title.quantity_beside_name][name].append(column)
+            named[quantity or title.quantity_beside_name, name].append(column)
         # A time without a number is the row's, not the single joint's own.
         if robot.n_joints == 1 and quantity != "joint_time":
             numbers = numbers or (0,)
         if len(numbers) == 1:
-            by_number[quantity][numbers[0]].append(column)
-    names = [*by_name["position"]] if has_names else []
+            counted[quantity, numbers[0]].append(column)
+    names = [name for quantity, name in named if has_names and quantity == "position"]
     matched = match_joint_names(names, joint_names)
     candidates = {}
     for quantity in quantities:
-        named = [by_name[quantity][name] for name in matched or joint_names]
+        by_name = [named[quantity, name] for name in matched or joint_names]
         # Names decide for all joints of a quantity or for none.
-        if not all(named):
-            named = [[]] * robot.n_joints
-        taken = {*chain(*named)}
-        counted = {}
-        for number, indices in by_number[quantity].items():
-            if others := [column for column in indices if column not in taken]:
-                counted[number] = others
-        order = () if listed_names else _order_of_numbers([*counted], joint_names)
-        numbered = [counted[k] for k in order] or [[]] * robot.n_joints
+        if not all(by_name):
+            by_name = [[]] * robot.n_joints
+        taken = {*chain(*by_name)}
+        by_number = {}
+        for (its_quantity, number), columns in counted.items():
+            others = [column for column in columns if column not in taken]
+            if its_quantity == quantity and others:
+                by_number[number] = others
+        order = () if listed_names else _order_of_numbers([*by_number], joint_names)
+        numbered = [by_number[k] for k in order] or [[]] * robot.n_joints
         candidates[quantity] = [
-            [*measured_columns(titles, each), *measured_columns(titles, others)]
-            for each, others in zip(named, numbered)
+            [*measured_columns(titles, columns), *measured_columns(titles, others)]
+            for columns, others in zip(by_name, numbered)
         ]
     return candidates, joint_note(matched, names)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rigs import arms
+from rigs.log_files import titles_alone
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import steps
@@ -33,10 +34,7 @@ CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.text]
 
 def columns_of(titles, path):
     choices = read_columns(path, NAMES)
-    finder = ColumnFinder(
-        ["time", *titles], ROBOT, choices, (), currents=False, commanded=False
-    )
-    return finder.find_all()
+    return ColumnFinder(titles_alone(["time", *titles]), ROBOT, choices).find_all()
 
 
 def refusal(

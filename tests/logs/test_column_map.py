@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.log_files import arm_of
+from rigs.log_files import arm_of, titles_alone
 from rigs.refusals import refused
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
@@ -30,8 +30,7 @@ def recognise(
     choices = choices or declarations.ColumnChoices()
     texts = [title.replace(";", ",") for title in titles.split(",")]
     robot = arm_of(joints, is_slide=is_slide)
-    finder = ColumnFinder(texts, robot, choices, first_row, False, False)
-    return finder.find_all()
+    return ColumnFinder(titles_alone(texts, first_row), robot, choices).find_all()
 
 
 def declared(text: str, titles: str, joints=JOINTS, **others) -> ColumnMap:

@@ -20,6 +20,7 @@ from rigs.log_files import (
     assert_refused,
     assert_samples,
     motion,
+    open_log,
     read_measurements,
     table,
     write,
@@ -225,4 +226,4 @@ def test_a_console_that_closes_is_no_fault_of_the_log(tmp_path):
 
     path = write(tmp_path / "log.csv", table(DATA))
     with pytest.raises(BrokenPipeError):
-        reader.open_log(arm_of(JOINTS), path, LogOptions(), Closed())
+        open_log(arm_of(JOINTS), path, LogOptions(), Closed())

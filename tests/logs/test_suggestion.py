@@ -12,12 +12,11 @@ import pytest
 
 from rigs import arms
 from rigs.command_line import OUT, CommandLine
-from rigs.log_files import JOINTS, arm_of, limits, motion, write
+from rigs.log_files import JOINTS, arm_of, limits, motion, open_log, write
 from rigs.refusals import refused
 from rigs.wrong_arms import truth_of
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log
 from robot_sysid.wording import in_python
 
 ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')

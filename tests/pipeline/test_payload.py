@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs.log_files import open_log
 from rigs.measured_logs import XML, log_of
 from robot_sysid.config import PayloadConfig
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import recordings, stages
@@ -95,7 +94,7 @@ def test_logs_are_judged_together_with_the_options_of_the_run(
 
 
 def test_parts_of_a_log_with_a_long_hole_are_one_log(robot, paths):
-    logs = [open_log(robot, path, LogOptions()) for path in paths]
+    logs = [open_log(robot, path) for path in paths]
     question = Question(EstimationOptions(), loaded=True)
     judged = judge(robot, logs, question, Progress(), [False, True], [-1.0, 1.0])
     cut, complete = map(str, paths)
