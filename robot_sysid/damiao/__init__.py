@@ -21,12 +21,8 @@ from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.player import PlayReport, StopRequest
-from robot_sysid.damiao.preflight import require_playable
-from robot_sysid.damiao.trajectory import (
-    LIMITS,
-    export_damiao_trajectory,
-    motor_ratings,
-)
+from robot_sysid.damiao.preflight import motor_ratings, require_playable
+from robot_sysid.damiao.trajectory import export_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.pipeline.motors import ArmMotors
 from robot_sysid.records import Limits, RobotModel
@@ -64,7 +60,7 @@ def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
             lines.append(f"  {joint.name} ({joint.motor_type}): {share:.1f} %{remedy}")
         return lines
 
-    return ArmMotors(limits, LIMITS, write)
+    return ArmMotors(limits, execution.LIMITS, write)
 
 
 Say = Callable[[str], None]

@@ -40,12 +40,7 @@ from robot_sysid.damiao.settings import (
     joint_positions,
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
-from robot_sysid.damiao.trajectory import (
-    LIMITS,
-    MODEL_LIMITS,
-    DamiaoTrajectory,
-    read_damiao_trajectory,
-)
+from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
@@ -76,6 +71,10 @@ class ArmFiles(OptionRecord):
     )
 
 
+MODEL_LIMITS = "workspace", "keep_out", "clearance"
+"""The limits that can only be compared with a model of the arm."""
+LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
+"""Names of the limits of a motion that hold for all that a run moves."""
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
 """The limits of a run for which the user gives none: 1e6 rad/s stops no motion."""
 LIMIT_OPTIONS = options_of_all(LimitOptions, only=LIMITS, **dict.fromkeys(LIMITS))

@@ -8,56 +8,33 @@ forward is compared with what the motion needs, and that with what the motors ca
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.preflight import SMALLER, note, stop
+from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
+from robot_sysid.damiao.preflight import (
+    CANNOT_FOLLOW,
+    SMALLER,
+    StatedLimits,
+    limit_checks,
+    note,
+    stop,
+)
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan
-from robot_sysid.damiao.trajectory import (
-    CANNOT_FOLLOW,
-    DamiaoTrajectory,
-    limit_remarks,
-    motor_ratings,
-)
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records import Array, Limits, Motion, RobotModel
 from robot_sysid.records.messages import Remark
 from robot_sysid.wording import with_option_names
 
 # Remedy for an arm that needs more torque than its model says, or than its motors make.
 _WEIGH_FIRST = "weigh the arm with a smaller motion first (see {for_=weight} of plan)"
-
-
-@dataclass(frozen=True)
-class FilePath:
-    """The way of a motor trajectory as a motion plan: straight lines between its rows.
-
-    Attributes:
-        trajectory: as read from its file; the time begins with its first row.
-    """
-
-    trajectory: DamiaoTrajectory
-
-    @property
-    def duration(self) -> float:
-        """Time of the last row [s]."""
-        return np.ptp(self.trajectory.time)
-
-    def evaluate(self, time: Array) -> Motion:
-        """Return position and slope (K, n) at times (K,) [s], with zero acceleration."""
-        trajectory = self.trajectory
-        file_time = trajectory.time[0] + time
-        q = trajectory.sampled(file_time)[0]
-        slope = trajectory.slopes[trajectory.rows_at(file_time)]
-        return Motion(time, q, slope, np.zeros_like(q))
 
 
 def transfer_checks(
@@ -86,7 +63,7 @@ def contact_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
     obstacles.
     """
     yield from map(note, problem.gaps)
-    contact = first_contact(problem, FilePath(plan.trajectory))
+    contact = first_contact(problem, plan.trajectory)
     if contact is not None:
         time = contact.time / plan.settings.speed
         yield stop(f"the model's {contact.label} touch at {time:.2f} s; {SMALLER}")
@@ -103,16 +80,16 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     joints = trajectory.joints
     speed = plan.settings.speed
     q, qd, qdd = trajectory.q, trajectory.qd, trajectory.qdd
-    time = trajectory.time - trajectory.time[0]
     weigh_first = with_option_names(_WEIGH_FIRST)
-    needed = arm(Motion(time, q, speed * qd, speed**2 * qdd))
-    most = motor_ratings(joints)[0]._replace(
-        remedy=f"the motion needs it by the model, {CANNOT_FOLLOW}; {weigh_first}"
+    needed = arm(Motion(trajectory.time, q, speed * qd, speed**2 * qdd))
+    most = StatedLimits(
+        Limits(torque=peak_torques(joints)),
+        "what a {joint.motor_type} can do,",
+        f"the motion needs it by the model, {CANNOT_FOLLOW}; {weigh_first}",
     )
-    signals = q, 0.0 * qd, 0.0 * qdd, needed
-    yield from limit_remarks(joints, [most], time / speed, signals)
+    yield from limit_checks(replace(trajectory, tau=needed), speed, [most])
     # The torque in the file is that of the file's own speed.
-    at_full_speed = arm(Motion(time, q, qd, qdd))
+    at_full_speed = arm(Motion(trajectory.time, q, qd, qdd))
     needed_rms = np.sqrt(np.mean(at_full_speed**2, axis=0))
     error = np.sqrt(np.mean((trajectory.tau - at_full_speed) ** 2, axis=0))
     # Torque (n,) that friction alone may explain [N m].

@@ -5,19 +5,29 @@ Each is a finding that stops the run, or that the user should know.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
+from itertools import cycle
+from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
-from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits_agree
+from robot_sysid.damiao.joints import (
+    RPM,
+    DamiaoJoint,
+    Mounting,
+    id_problems,
+    limits_agree,
+    peak_torques,
+)
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
 from robot_sysid.damiao.settings import Plan, joint_positions
-from robot_sysid.damiao.trajectory import StatedLimits, limit_remarks, motor_ratings
+from robot_sysid.damiao.trajectory import ROUNDING, DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import LIMITED, Limits
 from robot_sysid.records.messages import Level, Remark
 from robot_sysid.wording import option_name
 
@@ -27,6 +37,8 @@ stop = partial(Remark, Level.REFUSES, "")
 """Return a finding, by its text with the remedy, that forbids to play."""
 SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
 """Remedy for a trajectory that leaves an arm's limits, or touches something."""
+CANNOT_FOLLOW = "it cannot follow"
+"""What a motor does with a motion that needs more than it can do."""
 
 
 def stops(checks: Sequence[Remark]) -> list[str]:
@@ -41,6 +53,78 @@ def require_playable(checks: Sequence[Remark]) -> None:
     """
     for text in stops(checks):
         raise HardwareAbort(f"not played: {text}")
+
+
+class StatedLimits(NamedTuple):
+    """Limits of the n joints of a run.
+
+    Attributes:
+        limits: of the joints.
+        owner: who states them, in words; may have the field ``joint``.
+        remedy: what to do where a motion exceeds one, or what then happens.
+        level: whether that forbids the run.
+    """
+
+    limits: Limits
+    owner: str
+    remedy: str
+    level: Level = Level.REFUSES
+
+
+def motor_ratings(joints: Sequence[DamiaoJoint]) -> tuple[StatedLimits, StatedLimits]:
+    """Return what the motors of n joints can do at most, and what they can do for long."""
+    no_load = RPM * np.array([joint.spec.no_load_rpm or np.inf for joint in joints])
+    rated = np.array([joint.spec.rated_torque for joint in joints])
+    most = Limits(velocity=no_load, torque=peak_torques(joints))
+    smaller = f"{CANNOT_FOLLOW}: plan a smaller or slower motion"
+    heat = "it gets too hot if that lasts"
+    return (
+        StatedLimits(most, "what a {joint.motor_type} can do,", smaller),
+        StatedLimits(
+            Limits(torque=rated),
+            "what a {joint.motor_type} can do for long,",
+            heat,
+            Level.SAYS,
+        ),
+    )
+
+
+def limit_checks(
+    trajectory: DamiaoTrajectory, speed: float, stated: Iterable[StatedLimits]
+) -> Iterator[Remark]:
+    """Yield a finding for each joint and each limit that a trajectory exceeds.
+
+    The slope of the positions from row to row counts as a velocity too. What the rounding of the
+    file's numbers may make is left to each quantity.
+
+    Args:
+        trajectory: with n joints.
+        speed: factor of the file's speed at which it is played.
+        stated: the limits.
+    """
+    step = np.diff(trajectory.time)[:, None]
+    velocity = np.abs(trajectory.qd)
+    slopes = np.abs(trajectory.slopes) - 2.0 * ROUNDING / step
+    velocity[:-1] = np.maximum(velocity[:-1], slopes)
+    acceleration = speed**2 * trajectory.qdd
+    signals = trajectory.q, speed * velocity, acceleration, trajectory.tau
+    # A velocity is rounded at both ends of a step.
+    rounding = ROUNDING * np.array([1.0, 1.0, 2.0 / step.min(), 1.0])
+    labels = [joint.label for joint in trajectory.joints]
+    tolerance = np.append(np.repeat(rounding, len(labels)), 0.0)
+    for limits, owner, remedy, level in stated:
+        chunk = trajectory.time / speed, limits.signals(*signals)
+        uses = limits.uses([chunk], labels, tolerance)
+        # Each quantity has one use per joint.
+        for use, joint in zip(uses, cycle(trajectory.joints)):
+            if not use.is_kept:
+                yield Remark(
+                    level,
+                    "",
+                    f"{use.owner}: {use.quantity} {use.middle + use.value:.4g} "
+                    f"{LIMITED[use.quantity]} is beyond {owner.format(joint=joint)} "
+                    f"{use.middle + use.limit:g}, at {use.time:.2f} s; {remedy}",
+                )
 
 
 def plan_checks(plan: Plan) -> Iterator[Remark]:
@@ -77,7 +161,7 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
         stated.insert(0, StatedLimits(plan.user_limits, "your limit", remedy))
     if plan.model_limits is not None:
         stated.insert(0, StatedLimits(plan.model_limits, "the model's limit", SMALLER))
-    yield from limit_remarks(joints, stated, *trajectory.played(settings.speed))
+    yield from limit_checks(trajectory, settings.speed, stated)
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
@@ -133,7 +217,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
     frames[~(frames > 0.0)] = np.inf
     limits = Mounting.of(joints).frame_limits(frames)
     stated = [StatedLimits(limits, "its registers' limit", SMALLER)]
-    yield from limit_remarks(joints, stated, *trajectory.played(settings.speed))
+    yield from limit_checks(trajectory, settings.speed, stated)
     positions = joint_positions(joints, inspection)
     tolerance = settings.start_tolerance
     for joint, position, first in zip(joints, positions, trajectory.q[0]):

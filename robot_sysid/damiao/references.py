@@ -54,11 +54,10 @@ def trajectory_reference(
         trajectory: trajectory with at least two rows.
         speed: factor of the file's velocities; its times are divided by this factor.
     """
-    start = trajectory.time[0]
 
     def reference(time: float) -> Reference:
         """Return the trajectory's state at ``time`` [s] of playing since its first row."""
-        position, velocity, torque = trajectory.sampled(np.array(start + time * speed))
+        position, velocity, torque = trajectory.sampled(np.array(time * speed))
         return Reference(position, velocity * speed, torque)
 
     return reference

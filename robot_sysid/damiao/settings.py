@@ -275,7 +275,7 @@ class Plan:
     @property
     def duration(self) -> float:
         """Time that the trajectory takes to play [s]: the file's time over the speed factor."""
-        return np.ptp(self.trajectory.time) / self.settings.speed
+        return self.trajectory.duration / self.settings.speed
 
     @property
     def command_limits(self) -> Limits:

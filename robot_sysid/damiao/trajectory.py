@@ -1,4 +1,4 @@
-"""The trajectory file that Damiao motors play: exported in a stream, read, compared with limits.
+"""The trajectory file that Damiao motors play: exported in a stream, and read.
 
 ::
 
@@ -15,26 +15,19 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain, cycle, takewhile
+from itertools import chain, takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.joints import (
-    MASTER_ID_OFFSET,
-    RPM,
-    DamiaoJoint,
-    motor_spec,
-    peak_torques,
-)
+from robot_sysid.damiao.joints import MASTER_ID_OFFSET, DamiaoJoint, motor_spec
 from robot_sysid.errors import InputError
-from robot_sysid.records import LIMITED, Array, Limits
+from robot_sysid.records import Array, Motion
 from robot_sysid.records.file_access import read_text
-from robot_sysid.records.messages import Level, Remark
 
 if TYPE_CHECKING:
     from robot_sysid.pipeline.motors import MotionChunk
@@ -53,7 +46,7 @@ class DamiaoTrajectory:
     Attributes:
         path: file from which the trajectory was read.
         joints: joints with their motors, base to terminal.
-        time: increasing times (N,) of the rows [s].
+        time: increasing times (N,) of the rows, from zero on [s].
         q: positions (N, n) [rad].
         qd: velocities (N, n) [rad/s].
         tau: feed-forward torques (N, n) [N m].
@@ -71,18 +64,18 @@ class DamiaoTrajectory:
         """Number of joints n."""
         return len(self.joints)
 
-    def rows_at(self, time: Array) -> NDArray[np.int64]:
-        """Return the index (K,) of the row before each of the file's times (K,) or one time [s]."""
+    def _rows_at(self, time: Array) -> NDArray[np.int64]:
+        """Return the index (K,) of the row before each of some times (K,), or one time [s]."""
         row = np.searchsorted(self.time, time) - 1
         return np.clip(row, 0, len(self.time) - 2)
 
     def sampled(self, time: Array) -> list[Array]:
-        """Return q, qd, tau (K, n) on the straight lines between rows at the file's times (K,) [s].
+        """Return q, qd, tau (K, n) on the straight lines between rows at times (K,) [s].
 
         They are (n,) each for one time. Motors are sent what stands on these lines. Outside of the
         file its first or last row holds.
         """
-        row = self.rows_at(time)
+        row = self._rows_at(time)
         since = (time - self.time[row]) / (self.time[row + 1] - self.time[row])
         share = np.clip(since, 0.0, 1.0)[..., None]
         return [
@@ -100,24 +93,15 @@ class DamiaoTrajectory:
         """Slopes (N - 1, n) of the positions over the file's time, from row to row [rad/s]."""
         return np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
 
-    def played(
-        self, speed: float
-    ) -> tuple[Array, tuple[Array, ...], tuple[float, ...]]:
-        """Return the motion as it is played at a factor of the file's speed.
+    @property
+    def duration(self) -> float:
+        """Time of the last row [s]."""
+        return self.time[-1]
 
-        It is what ``limit_remarks`` takes: times (N,) [s]; position, velocity, acceleration, torque
-        (N, n); and what rounding of the file's numbers may make of each. Velocities are without
-        sign, and not below the slope of the positions from row to row.
-        """
-        step = np.diff(self.time)[:, None]
-        velocity = np.abs(self.qd)
-        slopes = np.abs(self.slopes) - 2.0 * ROUNDING / step
-        velocity[:-1] = np.maximum(velocity[:-1], slopes)
-        signals = self.q, speed * velocity, speed**2 * self.qdd, self.tau
-        # A velocity is rounded at both ends of a step.
-        per_step = 2.0 * ROUNDING / step.min()
-        rounding = ROUNDING, ROUNDING, per_step, ROUNDING
-        return (self.time - self.time[0]) / speed, signals, rounding
+    def evaluate(self, time: Array) -> Motion:
+        """Return position and slope (K, n) at times (K,) [s], with zero acceleration."""
+        q = self.sampled(time)[0]
+        return Motion(time, q, self.slopes[self._rows_at(time)], np.zeros_like(q))
 
 
 def export_damiao_trajectory(
@@ -214,11 +198,16 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         raise InputError(
             f"{path}, below line {title_number}: expected {len(titles)} finite numbers per line"
         )
-    time = table[:, 0].copy()
+    time = table[:, 0]
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}: time does not increase after {time[row]:g} s")
     return DamiaoTrajectory(
-        path, joints, time, q=table[:, 1::3], qd=table[:, 2::3], tau=table[:, 3::3]
+        path,
+        joints,
+        time - time[0],
+        q=table[:, 1::3],
+        qd=table[:, 2::3],
+        tau=table[:, 3::3],
     )
 
 
@@ -242,80 +231,3 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
     raise InputError(
         f"{path}, line {number}: expected '# motor_type=TYPE,can_id=NUMBER,mode=MIT'"
     )
-
-
-MODEL_LIMITS = "workspace", "keep_out", "clearance"
-"""The limits that can only be compared with a model of the arm."""
-LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
-"""Names of the limits of a motion that hold for all that a run moves."""
-
-
-CANNOT_FOLLOW = "it cannot follow"
-"""What a motor does with a motion that needs more than it can do."""
-
-
-class StatedLimits(NamedTuple):
-    """Limits of the n joints of a run.
-
-    Attributes:
-        limits: of the joints.
-        owner: who states them, in words; may have the field ``joint``.
-        remedy: what to do where a motion exceeds one, or what then happens.
-        level: whether that forbids the run.
-    """
-
-    limits: Limits
-    owner: str
-    remedy: str
-    level: Level = Level.REFUSES
-
-
-def motor_ratings(joints: Sequence[DamiaoJoint]) -> tuple[StatedLimits, StatedLimits]:
-    """Return what the motors of n joints can do at most, and what they can do for long."""
-    no_load = RPM * np.array([joint.spec.no_load_rpm or np.inf for joint in joints])
-    rated = np.array([joint.spec.rated_torque for joint in joints])
-    most = Limits(velocity=no_load, torque=peak_torques(joints))
-    smaller = f"{CANNOT_FOLLOW}: plan a smaller or slower motion"
-    heat = "it gets too hot if that lasts"
-    return (
-        StatedLimits(most, "what a {joint.motor_type} can do,", smaller),
-        StatedLimits(
-            Limits(torque=rated),
-            "what a {joint.motor_type} can do for long,",
-            heat,
-            Level.SAYS,
-        ),
-    )
-
-
-def limit_remarks(
-    joints: Sequence[DamiaoJoint],
-    stated: Iterable[StatedLimits],
-    time: Array,
-    signals: Sequence[Array],
-    rounding: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-) -> Iterator[Remark]:
-    """Yield a finding for each joint and each limit that a motion exceeds.
-
-    Args:
-        joints: the n joints.
-        stated: the limits.
-        time: of the rows (N,) [s].
-        signals: position, velocity, acceleration, torque (N, n) of the joints.
-        rounding: by how much each of these may be off.
-    """
-    labels = [joint.label for joint in joints]
-    tolerance = np.append(np.repeat(rounding, len(labels)), 0.0)
-    for limits, owner, remedy, level in stated:
-        columns = limits.signals(*signals)
-        uses = limits.uses([(time, columns)], labels, tolerance)
-        # Each quantity has one use per joint.
-        for use, joint in zip(uses, cycle(joints)):
-            if not use.is_kept:
-                yield Remark(
-                    level,
-                    "",
-                    f"{use.owner}: {use.quantity} {use.middle + use.value:.4g} "
-                    f"{LIMITED[use.quantity]} is beyond {owner.format(joint=joint)} "
-                    f"{use.middle + use.limit:g}, at {use.time:.2f} s; {remedy}",
-                )

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from rigs.damiao_rig import swing, trajectory_of
-from robot_sysid.damiao.trajectory import StatedLimits, limit_remarks
+from robot_sysid.damiao.preflight import StatedLimits, limit_checks
 from robot_sysid.records import Limits
 
 
 def excesses(trajectory, speed, limits):
     """What a motion does beyond limits, in words."""
     stated = [StatedLimits(limits, "your limit", "slower")]
-    remarks = limit_remarks(trajectory.joints, stated, *trajectory.played(speed))
-    return [remark.text for remark in remarks]
+    return [remark.text for remark in limit_checks(trajectory, speed, stated)]
 
 
 def test_a_users_limits_hold_at_the_speed_that_is_played():
