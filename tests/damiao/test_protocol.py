@@ -124,6 +124,7 @@ def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, end, si
         ((0, 0, 10, 0.49 * KD_STEP, 0), "has kp > 0, which needs kd of at least 0.0012"),
         ((0, 0, 1e-9, 0, 0), "has kp > 0"),
         ((0, 0, 0, 0, 0), None),
+        ((12.5, 10, 500, 5, 20), None),
         ((12.5, 10, 500, 5, 28), "would read as a special frame; lower its gains or torque"),
         ((12.5, 10, 500, 5, 28 * 0.876), "would read as a special frame"),
     ],

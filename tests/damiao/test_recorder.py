@@ -50,20 +50,21 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
     with recorder_for(path, types) as recorder:
         for k, time in enumerate(times):
             fields = {name: field[k] for name, field in {**sent, **measured}.items()}
-            replies = undoubted(
-                answered[k], stamps[k] + 7.0, Feedback(**fields), answered[k]
-            )
             position, velocity, torque = commands[:, k]
-            recorder.write(
-                time, 7.0, replies, mit_command(position, velocity, torque=torque)
-            )
+            acted = mit_command(position, velocity, torque=torque)
+            feedback = Feedback(**fields)
+            # The next command makes a step of torque, whose mean is recorded too.
+            then = stamps[k] + 7.0, feedback, answered[k], acted._replace(kd=0.0)
+            recorder.write(time, 7.0, undoubted(answered[k], *then), acted)
     recording = read_recording(path)
     assert recording.ending == "completed"
     np.testing.assert_allclose(recording.columns["time"], times, atol=1e-6)
+    mean = recording.joint_values("cmd_mean")
+    assert np.any(np.abs(mean) > 0.01)
     columns = {
         "pos": (heard["position"], 0.49 * scaling.steps[0]),
         "vel": (heard["velocity"], 0.49 * scaling.steps[1]),
-        "tau": (heard["torque"], 0.49 * scaling.steps[2]),
+        "tau": (heard["torque"] + mean, 0.49 * scaling.steps[2] + 1e-6),
         "time": (stamps, 1e-6),
         "status": (heard["status"], 0.0),
         "temp_mos": (heard["temperature_mos"], 0.0),

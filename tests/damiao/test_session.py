@@ -93,7 +93,10 @@ def test_feedback_is_not_taken_for_a_register_reply():
         return [feedback, *ours(frame, time)]
 
     bench.arm.handle = with_feedback_first
-    assert RegisterClient(bench.link).read(1, Register.PMAX) == 12.5
+    client = RegisterClient(bench.link)
+    assert client.read(1, Register.PMAX) == 12.5
+    # Nor is that of another motor for this one's.
+    assert client.refresh(2, 18).data[0] == 2
 
 
 def test_leaving_without_having_enabled_sends_nothing():
