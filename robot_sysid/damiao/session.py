@@ -74,8 +74,8 @@ class Outstanding:
     """
 
     def __init__(self, n: int) -> None:
-        # Number of commands whose answers have not come.
-        self._owed = np.zeros(n, int)
+        # Whether the answer to the motor's last command has not come.
+        self._owes = np.zeros(n, bool)
         # Number of cycles in a row without a command and without an answer.
         self._silent = np.zeros(n, int)
         # Whether the motor got a command in the present cycle.
@@ -90,9 +90,9 @@ class Outstanding:
         the returned array.
         """
         self._silent = np.where(self._commanded, 0, self._silent + 1)
-        self._owed[self._silent >= PAUSE] = 0
-        self._commanded = motors & (self._owed == 0)
-        self._owed += self._commanded
+        self._owes &= self._silent < PAUSE
+        self._commanded = motors & ~self._owes
+        self._owes |= self._commanded
         return self._commanded
 
     def take_answer(self, j: int) -> bool:
@@ -100,11 +100,9 @@ class Outstanding:
 
         An answer that no command awaits is counted in ``surplus``.
         """
-        is_timely = bool(self._commanded[j] and self._owed[j] == 1)
-        if self._owed[j] == 0:
-            self.surplus[j] += 1
-        else:
-            self._owed[j] -= 1
+        is_timely = bool(self._commanded[j] and self._owes[j])
+        self.surplus[j] += not self._owes[j]
+        self._owes[j] = False
         self._silent[j] = 0
         return is_timely
 

@@ -32,8 +32,10 @@ from robot_sysid.records.file_access import read_text
 if TYPE_CHECKING:
     from robot_sysid.pipeline.motors import MotionChunk
 
-# A name and a value in a comment line of a file.
-_PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
+# The comment line of a joint: type, CAN id, and master id or nothing.
+_JOINT = re.compile(
+    r"#\s*motor_type=(\w+),\s*can_id=(\d+),\s*mode=MIT(?:,\s*master_id=(\d+))?\s*"
+)
 
 ROUNDING = 0.5e-4
 """Largest rounding error of a number with four decimals, as the export writes it."""
@@ -174,7 +176,7 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     # Comment lines, one line of column titles, then one line of numbers per row.
     comments = list(takewhile(lambda line: line.startswith("#"), lines))
     joints = tuple(
-        _parse_joint(line, path, number)
+        _parse_joint(line, f"{path}, line {number}")
         for number, line in enumerate(comments, start=1)
         if "motor_type" in line
     )
@@ -211,23 +213,17 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     )
 
 
-def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
-    """Return the joint that a comment line of a file describes.
-
-    InputError where it describes none; it names the file's ``path`` and the ``number`` of the line.
-    """
-    pairs = dict(_PAIR.findall(line.lstrip("# ")))
+def _parse_joint(line: str, where: str) -> DamiaoJoint:
+    """Return the joint that a comment line describes; an InputError begins with ``where`` it is."""
+    match = _JOINT.fullmatch(line)
+    if match is None:
+        raise InputError(
+            f"{where}: expected '# motor_type=TYPE,can_id=NUMBER,mode=MIT'"
+        )
+    motor_type, can_id, master_id = match.groups()
     try:
-        # Base 0 takes a number like 0x11 too.
-        can_id = int(pairs["can_id"], 0)
-        master_id = int(pairs.get("master_id", str(can_id + MASTER_ID_OFFSET)), 0)
-        motor_type = motor_spec(pairs["motor_type"]).name
-        if pairs["mode"] == "MIT":
-            return DamiaoJoint(motor_type, can_id, master_id)
+        motor_spec(motor_type)
     except InputError as error:
-        raise InputError(f"{path}, line {number}: {error}") from None
-    except (KeyError, ValueError):
-        pass
-    raise InputError(
-        f"{path}, line {number}: expected '# motor_type=TYPE,can_id=NUMBER,mode=MIT'"
-    )
+        raise InputError(f"{where}: {error}") from None
+    default_id = int(can_id) + MASTER_ID_OFFSET
+    return DamiaoJoint(motor_type, int(can_id), int(master_id or default_id))

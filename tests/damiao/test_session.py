@@ -95,7 +95,8 @@ def test_feedback_is_not_taken_for_a_register_reply():
     bench.arm.handle = with_feedback_first
     client = RegisterClient(bench.link)
     assert client.read(1, Register.PMAX) == 12.5
-    # Nor is that of another motor for this one's.
+    other = CanFrame(18, bytes([1] * 8))
+    bench.arm.handle = lambda frame, time: [other, *ours(frame, time)]
     assert client.refresh(2, 18).data[0] == 2
 
 
