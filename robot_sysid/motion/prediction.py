@@ -78,8 +78,8 @@ def limit_lines(
                 f"{1e3 * closest.distance:.0f} mm apart"
             )
         yield f"Keeps all limits for {plan.duration:.1f} s{nearness}"
-    for gap in problem.gaps:
-        yield gap[0].upper() + gap[1:]
+    for sentence in problem.unlimited:
+        yield sentence[0].upper() + sentence[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess_text(excess)}"
 

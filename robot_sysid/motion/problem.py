@@ -145,22 +145,21 @@ class ExcitationProblem:
         return self.torque(motion_of_samples(q, zero + qd, zero))
 
     @property
-    def gaps(self) -> list[str]:
+    def unlimited(self) -> list[str]:
         """Sentences on what nothing limits: contacts of links, torques of joints."""
-        gaps = []
-        if self.unguarded:
-            gaps.append(
-                f"nothing keeps {', '.join(self.unguarded)} from touching anything: the model has "
-                "no collision geometry there that can meet any other"
-            )
-        limits = zip(self.joint_names, self.limits.torque)
-        unlimited = [name for name, limit in limits if np.isinf(limit)]
-        if unlimited:
-            gaps.append(
-                f"no torque limit of {', '.join(unlimited)} is known: the model states none (an "
-                "effort of 0 is none)"
-            )
-        return gaps
+        torques = zip(self.joint_names, self.limits.torque)
+        sentences = {
+            "nothing keeps {} from touching anything: the model has no collision geometry there "
+            "that can meet any other": self.unguarded,
+            "no torque limit of {} is known: the model states none (an effort of 0 is none)": [
+                name for name, limit in torques if np.isinf(limit)
+            ],
+        }
+        return [
+            sentence.format(", ".join(names))
+            for sentence, names in sentences.items()
+            if names
+        ]
 
     @property
     def owners(self) -> list[str]:

@@ -75,7 +75,7 @@ def design_motion(
     progress.note(*problem.notes)
     # The lines on a plan have these, and its verdict says what to do.
     if not isinstance(config, PlanConfig):
-        progress.note(*problem.gaps)
+        progress.note(*problem.unlimited)
     return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
 
 

@@ -58,12 +58,10 @@ def test_an_effort_of_zero_is_no_torque_limit_and_that_is_said(arm_file, effort)
     path = arm_file(text.replace('effort="10"', effort, 1), "arm.urdf")
     robot = load_robot_model(path)
     assert np.array_equal(robot.limits.torque, [np.inf, 10.0])
-    (gap,) = [
-        gap for gap in build_problem(robot, LimitOptions()).gaps if "torque" in gap
-    ]
-    assert gap.startswith("no torque limit of base_arm is known: ")
+    contacts, torques = build_problem(robot, LimitOptions()).unlimited
+    assert torques.startswith("no torque limit of base_arm is known: ")
     limited = build_problem(robot, LimitOptions(max_torque=(5.0,)))
-    assert not any("torque" in gap for gap in limited.gaps)
+    assert limited.unlimited == [contacts]
 
 
 def test_without_a_band_only_an_option_limits_accelerations():
