@@ -37,6 +37,13 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
     assert only_asks(bus.wire.sent)
 
 
+def test_a_bus_without_motors_is_said(capsys, bus):
+    for motor in bus.motors:
+        motor.registers[Register.ESC_ID] = 20.0
+    for command in (SETUP, f"{SETUP} --motor 1 --mit", "monitor --channel can0"):
+        assert "no motor answers: check power" in fail(capsys, 1, command)
+
+
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
     motor.registers[Register.CTRL_MODE] = 2.0

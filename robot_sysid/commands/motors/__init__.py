@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
@@ -13,12 +14,10 @@ from robot_sysid.commands.motors.mapping import MapOptions, map_joints
 from robot_sysid.commands.motors.session import (
     PlayChoices,
     Session,
-    check_lines,
-    motor_table,
+    found,
     play_step,
     run_checked,
-    step_after_play,
-    steps_after_rehearsal,
+    steps_after_play,
 )
 from robot_sysid.commands.motors.setup import (
     MonitorOptions,
@@ -26,10 +25,10 @@ from robot_sysid.commands.motors.setup import (
     monitor,
     setup,
 )
-from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.execution import LIMIT_OPTIONS, ArmFiles
+from robot_sysid.damiao.preflight import stops
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
     HOLD_SETTINGS,
@@ -48,17 +47,12 @@ def check(session: Session) -> int:
 
     Without a channel only the trajectory is judged.
     """
-    console = session.console
     plan = session.plan()
-    checks = session.checks(plan)
+    inspection = None
     if session.address.channel:
         with session.open_guarded() as link:
             inspection = inspect_bus(link)
-        checks += session.inspection_checks(plan, inspection)
-        motors = inspection.motors.values()
-        console.stage(*motor_table(motors, plan.trajectory.joints))
-    console.stage(*check_lines(checks))
-    faults = len(preflight.stops(checks))
+    faults = len(stops(found(session, plan, inspection)))
     if faults:
         session.verdict = (f"Not usable: {faults} to change before playing",)
         return 1
@@ -76,16 +70,10 @@ def play(session: Session, is_real: bool = True) -> int:
     opened = session.open_guarded() if is_real else session.open_simulated(plan)
     with opened as link:
         run_checked(session, link, plan, inspect_bus(link), is_real)
-    verdict = "Done: played, and all motors are disabled"
-    if plan.recording.record is not None:
-        verdict = (
-            "Usable: played, and all motors are disabled; recorded to "
-            f"{plan.recording.record}"
-        )
-    if is_real:
-        session.conclude(verdict, step_after_play(session, plan))
-    else:
-        session.conclude(verdict, *steps_after_rehearsal(session, plan))
+    record = plan.recording.record
+    done = "played, and all motors are disabled"
+    verdict = f"Usable: {done}; recorded to {record}" if record else f"Done: {done}"
+    session.conclude(verdict, *steps_after_play(session, plan, is_real))
     return 0
 
 
@@ -106,27 +94,28 @@ def run_command(
         console: prints what happens.
     """
     session = Session(values, console)
-    failure: SysidError | None = None
+
+    def print_result(code: int) -> None:
+        """Print what came of the command that ends with an exit code."""
+        content = {
+            "command": name,
+            "exit_code": code,
+            "verdict": session.verdict,
+            "next_step": session.step,
+            "lines": console.json_lines,
+        }
+        console.result(content)
+
     try:
         code = action(session)
         console.stage(*session.verdict)
     except SysidError as error:
-        code = error.exit_code
-        failure = error
         session.verdict = (f"Not usable: {error}",)
-    content = {
-        "command": name,
-        "exit_code": code,
-        "verdict": session.verdict,
-        "next_step": session.step,
-        "lines": console.json_lines,
-    }
-    try:
-        console.result(content)
-    finally:
         # An error of printing must not hide what happened to the motors.
-        if failure is not None:
-            raise failure
+        with contextlib.suppress(SysidError):
+            print_result(error.exit_code)
+        raise
+    print_result(code)
     return code
 
 

@@ -20,7 +20,7 @@ from robot_sysid.damiao.joints import BY_HAND, DamiaoJoint, write_joint_map
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, require_writable
-from robot_sysid.records.messages import NextStep, count_text
+from robot_sysid.records.messages import count_text
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 Positions = Mapping[int, float]
@@ -79,10 +79,9 @@ def map_joints(session: Session) -> int:
     with session.open_guarded(protocol.is_motion) as link:
         rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
-    step = NextStep(
-        "Next, check the motors with it",
-        session.command("check", trajectory=DAMIAO_NAME, joint_map=options.output),
-    )
+    sentence = "Next, check the motors with it"
+    changes = {"trajectory": DAMIAO_NAME, "joint_map": options.output}
+    step = session.step_to("check", sentence, **changes)
     session.conclude(f"Done: written to {options.output}", step)
     return 0
 

@@ -21,7 +21,7 @@ from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_te
 from robot_sysid.damiao.references import Activity
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import InputError
-from robot_sysid.pipeline.next_steps import step_after, step_with_motion
+from robot_sysid.pipeline.next_steps import step_with_motion
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import (
@@ -92,13 +92,13 @@ class Session(MotorRun):
         self.step = steps[0]
         self.verdict = (verdict, *chain.from_iterable(map(NextStep.lines, steps)))
 
-    def command(self, name: str, **changes: Any) -> tuple[str, ...]:
-        """Return the words of the motors command ``name`` with the options of this run.
+    def step_to(self, name: str, sentence: str, **changes: Any) -> NextStep:
+        """Return the step to the motors command ``name`` with the options of this run.
 
         ``changes`` are values of options, by key, that are added or replaced; None leaves one out.
         """
-        values = {**self.values, **changes}
-        return (PROGRAM, "motors", name, *command_arguments(values, RUN_OPTIONS))
+        arguments = command_arguments({**self.values, **changes}, RUN_OPTIONS)
+        return NextStep(sentence, (PROGRAM, "motors", name, *arguments))
 
 
 _HEADINGS = "id reply mode PMAX VMAX TMAX type watchdog rad rad/s N·m degC state"
@@ -143,11 +143,22 @@ def motor_table(
     return aligned_lines(rows)
 
 
-def check_lines(checks: Sequence[Remark]) -> Iterator[str]:
-    """Yield one line per finding."""
-    for check in checks:
-        mark = "STOP" if check.level is Level.REFUSES else "note"
-        yield f"[{mark}] {check.text}"
+def found(
+    session: Session, plan: Plan, inspection: Inspection | None, is_real: bool = True
+) -> list[Remark]:
+    """Return all findings on a plan, and print them, below a table of the inspected motors.
+
+    Without an inspection only the plan is judged. ``is_real`` is whether its motors are real ones.
+    """
+    findings = session.checks(plan)
+    if inspection is not None:
+        findings += session.inspection_checks(plan, inspection, is_real)
+        motors = inspection.motors.values()
+        session.console.stage(*motor_table(motors, plan.trajectory.joints))
+    for finding in findings:
+        mark = "STOP" if finding.level is Level.REFUSES else "note"
+        session.console.stage(f"[{mark}] {finding.text}")
+    return findings
 
 
 def run_lines(report: PlayReport) -> Iterator[str]:
@@ -187,11 +198,7 @@ def run_checked(
         InputError: the user does not confirm, or the recording cannot be written.
     """
     console = session.console
-    checks = session.checks(plan)
-    checks += session.inspection_checks(plan, inspection, is_real)
-    table = motor_table(inspection.motors.values(), plan.trajectory.joints)
-    console.stage(*table, *check_lines(checks))
-    require_playable(checks)
+    require_playable(found(session, plan, inspection, is_real))
     if is_real and not record_from(PlayChoices, session.values).yes:
         require_consent()
         # The arm may have moved or been touched in the meantime.
@@ -219,49 +226,45 @@ def play_step(session: Session, plan: Plan) -> NextStep:
     sentence = "Next, play it slowly"
     if "channel" not in session.values:
         sentence += f", on the arm at {USUAL_CHANNEL} (change --channel for another)"
-    return NextStep(sentence, session.command("play", **options))
+    return session.step_to("play", sentence, **options)
 
 
-def step_after_play(session: Session, plan: Plan) -> NextStep:
-    """Return the step after a trajectory was played on motors: play it again, or identify."""
+def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextStep]:
+    """Return the steps after a trajectory was played: identify from the recording, or play again.
+
+    Behind a simulated arm real motors are checked. Its torque is computed, which ``identify`` has
+    to accept where the arm has no friction.
+    """
     folder = plan.trajectory.path.parent
     planned = plan_settings(folder)
     purpose = planned.get("for_", "")
     record = plan.recording.record
-    is_slow = record is None or plan.settings.speed < 1.0
     log = record or folder / "measured.csv"
-    if is_slow and purpose != "payload":
-        command = session.command("play", speed=None, record=folder / "measured.csv")
-        sentence = "Next, play it at full speed and record it, to identify from"
-        return NextStep(sentence, command)
+    is_fast = record is not None and plan.settings.speed >= 1.0
     model = session.values.get("model")
-    values = {**session.values, "path": model} if model else planned
-    results = log.parent if planned else log.with_suffix("")
-    values = {"path": "arm.xml", **values}
-    return step_with_motion("motion recorded", purpose, values, results, log)
-
-
-def steps_after_rehearsal(session: Session, plan: Plan) -> list[NextStep]:
-    """Return the steps after a trajectory was played on a simulated arm.
-
-    The arm is identified from a recording at full speed, and then real motors are checked. The
-    torque of a simulated arm is computed, which has to be accepted where it has no friction.
-    """
-    steps = []
-    record = plan.recording.record
-    if record is not None and plan.settings.speed >= 1.0:
-        values = {**session.values, "path": session.values["model"]}
-        words = ["--accept", "computed"]
-        if plan_settings(plan.trajectory.path.parent).get("for_") == "arm":
-            words.append("--links")
-        folder = record.with_suffix("")
-        step = step_after("motion recorded", values, *words, log=record, folder=folder)
-        sentence = (
-            "Next, identify the simulated arm from it, to see what the motion tells"
-        )
-        steps.append(replace(step, sentence=sentence))
-    unrecorded = {"speed": None, "record": None, "overwrite": None}
-    options = {"channel": USUAL_CHANNEL, **session.values, **unrecorded}
-    sentence = "Then" if steps else "Next"
-    sentence += ", with the arm connected, check its motors"
-    return [*steps, NextStep(sentence, session.command("check", **options))]
+    values = {"path": "arm.xml", **planned}
+    if model:
+        values = {**session.values, "path": model}
+    results = log.parent if planned and is_real else log.with_suffix("")
+    if is_real and not is_fast and purpose != "payload":
+        sentence = "Next, play it at full speed and record it, to identify from"
+        log = folder / "measured.csv"
+        return [session.step_to("play", sentence, speed=None, record=log)]
+    if is_real:
+        return [step_with_motion("motion recorded", purpose, values, results, log)]
+    options = {"speed": None, "record": None, "overwrite": None}
+    options["channel"] = session.values.get("channel", USUAL_CHANNEL)
+    sentence = "with the arm connected, check its motors"
+    check = session.step_to("check", f"Next, {sentence}", **options)
+    if not is_fast:
+        return [check]
+    # From one recording no payload is weighed.
+    purpose = purpose.replace("payload", "")
+    identify = step_with_motion("motion recorded", purpose, values, results, log)
+    return [
+        NextStep(
+            "Next, identify the simulated arm from it, to see what the motion tells",
+            (*identify.command, "--accept", "computed"),
+        ),
+        replace(check, sentence=f"Then, {sentence}"),
+    ]

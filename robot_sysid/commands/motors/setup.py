@@ -8,14 +8,15 @@ motors does any of this.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from robot_sysid.commands.motors.session import Session, motor_table
 from robot_sysid.damiao.bus import (
     GuardedLink,
     InspectedMotor,
-    Inspection,
     RegisterClient,
     inspect_bus,
 )
@@ -34,18 +35,14 @@ from robot_sysid.damiao.protocol import (
     special_frame,
     status_text,
 )
-from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.records.file_access import DAMIAO_NAME
-from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
     OptionRecord,
     given_values,
     option,
     record_from,
 )
-
-# Verdict of a command that finds no motor.
-_SILENT = ("Not usable: no motor answers: check power, wiring and bit rate",)
 
 
 @dataclass(frozen=True)
@@ -72,38 +69,42 @@ class MonitorOptions(OptionRecord):
     interval: float = option(1.0, "time between two looks", "S [s] > 0", flag="--every")
 
 
-def setup(session: Session) -> int:
-    """List the motors on a bus, change one of them if the options say so; return the exit code.
+def listed_motors(session: Session, link: GuardedLink) -> Mapping[int, InspectedMotor]:
+    """Return the motors on a bus by CAN ids, and print them; SysidError where none answers."""
+    motors = inspect_bus(link).motors
+    if not motors:
+        raise SysidError("no motor answers: check power, wiring and bit rate")
+    session.console.stage(*motor_table(motors.values()))
+    return motors
 
-    It is 1 where there is no motor, else 0. Errors are those of ``change_motor`` and
-    ``_motor_to_change``, and InputError for a change without --motor.
+
+def setup(session: Session) -> int:
+    """List the motors on a bus, change one of them if the options say so; return the exit code 0.
+
+    Errors are those of ``change_motor``, ``listed_motors`` and ``_motor_to_change``, and InputError
+    for a change without --motor.
     """
     options = record_from(SetupOptions, session.values)
     changes = given_values(options).keys() - {"motor"}
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     with session.open_guarded(is_motion) as link:
-        inspection = inspect_bus(link)
-        session.console.stage(*motor_table(inspection.motors.values()))
+        motors = listed_motors(session, link)
+        done = f"motors that answer: {len(motors)}"
         if changes:
-            motor = _motor_to_change(inspection, options)
+            motor = _motor_to_change(motors, options)
             for line in change_motor(link, motor, options):
                 session.console.stage(line)
-    if not inspection.motors:
-        session.verdict = _SILENT
-        return 1
-    done = f"motors that answer: {len(inspection.motors)}"
+            done = f"{motor.name} is changed"
     steps = []
-    if changes:
-        done = f"motor {options.motor} is changed"
     if changes - {"clear_error"} and not options.store:
         done += ", and forgets it when its power goes off"
-        store = "--motor", str(options.new_id or options.motor), "--store"
-        sentence = "Next, let it keep the changes"
-        steps.append(NextStep(sentence, (*session.command("setup"), *store)))
-    command = session.command("check", trajectory=DAMIAO_NAME)
+        store = session.step_to("setup", "Next, let it keep the changes")
+        words = "--motor", str(options.new_id or options.motor), "--store"
+        steps.append(replace(store, command=(*store.command, *words)))
     sentence = f"{'Then' if steps else 'Next'}, check the motors for a trajectory"
-    session.conclude(f"Done: {done}", *steps, NextStep(sentence, command))
+    steps.append(session.step_to("check", sentence, trajectory=DAMIAO_NAME))
+    session.conclude(f"Done: {done}", *steps)
     return 0
 
 
@@ -174,14 +175,15 @@ def change_motor(
         yield f"{motor.name} keeps its values when the power goes off"
 
 
-def _motor_to_change(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
-    """Return the motor that the options name.
+def _motor_to_change(
+    motors: Mapping[int, InspectedMotor], options: SetupOptions
+) -> InspectedMotor:
+    """Return the motor that the options name, of all motors by their CAN ids.
 
     Raises:
         HardwareAbort: no motor, or more than one, has that id.
         InputError: its new ids would clash with other motors.
     """
-    motors = inspection.motors
     motor = motors.get(options.motor or 0)
     if motor is None or len(motor.reply_ids) != 1:
         raise HardwareAbort(
@@ -202,22 +204,18 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
 
 
 def monitor(session: Session) -> int:
-    """Print the motors' states at every interval, without enabling them; return the exit code.
+    """Print the motors' states at every interval, without enabling them; return the exit code 0.
 
-    It ends with Ctrl-C or after the lifetime of the options. The code is 1 if no motor answers.
+    It ends with Ctrl-C or after the lifetime of the options. SysidError where no motor answers.
     """
     options = record_from(MonitorOptions, session.values)
     with session.open_guarded(is_motion) as link:
-        motors = list(inspect_bus(link).motors.values())
-        if not motors:
-            session.verdict = _SILENT
-            return 1
-        clock = link.clock
         client = RegisterClient(link)
-        end = clock.now() + (options.lifetime or float("inf"))
+        motors = listed_motors(session, link).values()
+        last = link.clock.now() + (options.lifetime or np.inf) - options.interval
         with contextlib.suppress(KeyboardInterrupt):
-            while clock.now() < end:
-                motors = [replace(m, feedback=client.state_of(m)) for m in motors]
-                session.console.stage(*motor_table(motors))
-                clock.sleep_until(clock.now() + options.interval)
+            while link.clock.now() < last:
+                link.clock.sleep_until(link.clock.now() + options.interval)
+                states = [replace(m, feedback=client.state_of(m)) for m in motors]
+                session.console.stage(*motor_table(states))
     return 0
