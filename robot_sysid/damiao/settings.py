@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -210,9 +211,9 @@ class RecordingOptions(OptionRecord):
     overwrite: bool = option(False, "replace an existing recording")
 
     def require_free(self, *inputs: Path | None) -> None:
-        """Raise InputError where the recording would replace a file that must not be replaced.
+        """Raise InputError where the recording cannot be written, or would replace a file.
 
-        It never replaces one of the run's ``inputs``; without --overwrite it replaces no file.
+        It never replaces one of the run's ``inputs``, and another file with --overwrite alone.
         """
         if self.record is None:
             return
@@ -221,6 +222,10 @@ class RecordingOptions(OptionRecord):
             raise InputError(
                 f"{self.record} exists; choose another {option_name('record')} file or give "
                 f"{option_name('overwrite')}"
+            )
+        if not os.access(self.record.parent, os.W_OK):
+            raise InputError(
+                f"cannot write {self.record}: its folder is missing, or not to be written to"
             )
 
 

@@ -153,6 +153,9 @@ def test_play_records_but_over_no_file_and_nobody_is_asked_first(
     over_itself = "--record", same, "--overwrite"
     err = fail(capsys, 2, "play", trajectory, CAN0, *over_itself)
     assert "would overwrite a file that is read" in err
+    nowhere = "--record", tmp_path / "missing" / "measured.csv"
+    err = fail(capsys, 2, "play", trajectory, CAN0, *nowhere)
+    assert "its folder is missing" in err
     assert existing.read_text() == "precious" and trajectory.read_bytes() == played
     assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
     options = CAN0, *record, AT_50, "--yes --kd 2 --overwrite"
@@ -263,6 +266,16 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     assert np.all(np.isfinite(recording.joint_values("pos")))
     out = succeed(capsys, "simulate", trajectory, *arguments, "--speed 0.9")
     assert "Next, with the arm connected, check" in out and "identify" not in out
+
+
+def test_every_rate_that_is_proposed_passes(capsys, bus, trajectory):
+    """Of a bus that is too full, on which answers come too late."""
+    check = "check", trajectory, CAN0, "--rate"
+    code, out, _ = run(capsys, *check, "2000")
+    rates = re.findall(r"use --rate (\S+)", out)
+    assert code == 1 and len(rates) == 2
+    for rate in rates:
+        succeed(capsys, *check, rate)
 
 
 @pytest.mark.slow
