@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import chain, takewhile
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -121,41 +121,33 @@ def export_damiao_trajectory(
         The share (n,) of each joint's samples that have a clamped value [%].
 
     Raises:
-        InputError: there are no samples, or a value is not finite.
+        InputError: a value is not finite.
     """
-    chunks = (chunk for chunk in motion_chunks if len(chunk[0]))
-    first = next(chunks, None)
-    if first is None:
-        raise InputError("the trajectory to export has no samples")
+    for joint in joints:
+        file.write(f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT\n")
+    file.write(",".join(["time", *trajectory_columns(len(joints))]) + "\n")
     # Greatest position, velocity and torque (3, 1, n) that frames can carry.
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     n_rows = 0
     n_clamped = np.zeros(len(joints))
-    # Milliseconds where all times of the first chunk are whole ones, else microseconds.
-    decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
-    formats = [f"%.{decimals}f"] + ["%.4f"] * (3 * len(joints))
-    file.write(_head(joints))
-    for chunk in chain([first], chunks):
+    formats: list[str] = []
+    for time, *motion in motion_chunks:
         # Position, velocity and torque (3, N, n).
-        signals = np.stack(chunk[1:])
+        signals = np.stack(motion)
         if not np.all(np.isfinite(signals)):
             raise InputError("the trajectory to export has values that are not finite")
         clamped = np.clip(signals, -limits, limits)
         n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
-        n_rows += len(chunk[0])
-        cells = clamped.transpose(1, 2, 0).reshape(len(chunk[0]), -1)
+        n_rows += len(time)
+        if not formats:
+            # Milliseconds where all times of the first chunk are whole ones, else microseconds.
+            decimals = 3 if np.all(np.abs(time - np.round(time, 3)) < 1e-9) else 6
+            formats = [f"%.{decimals}f"] + ["%.4f"] * (3 * len(joints))
+        cells = clamped.transpose(1, 2, 0).reshape(len(time), -1)
         # Adding zero turns the -0.0 that rounding leaves into 0.0.
-        table = np.column_stack([chunk[0], np.round(cells, 4) + 0.0])
+        table = np.column_stack([time, np.round(cells, 4) + 0.0])
         np.savetxt(file, table, formats, delimiter=",")
     return 100.0 * n_clamped / n_rows
-
-
-def _head(joints: Sequence[DamiaoJoint]) -> str:
-    """Return the comment lines and the column line of a trajectory file."""
-    head = ""
-    for joint in joints:
-        head += f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT\n"
-    return head + ",".join(["time", *trajectory_columns(len(joints))]) + "\n"
 
 
 def trajectory_columns(n_joints: int) -> list[str]:
