@@ -61,6 +61,9 @@ REFUSED = {
     "rs.identify('m', 'l', torques='all')": 'torques="all": choose one of chain, terminal',
     "rs.identify(5, 'l')": A_MODEL,
     "rs.read_log('l', 5)": A_MODEL,
+    "rs.identify('m', 5)": "a log is a path, arrays by name",
+    "rs.identify('m', [])": "the list of logs is empty",
+    "rs.identify('m', {'time': [[[0.0]]]})": "arrays holds no arrays with a row per s",
     "rs.payload('m', [], 'b')": "empty=LOG... is missing: a payload is weighed",
     "rs.identify('m', 'l', priors={'link_uncertainty': 5.0})": (
         "there is no prior 'link_uncertainty'; priors are numbers by these names: link"
