@@ -84,7 +84,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     needed = arm(Motion(trajectory.time, q, speed * qd, speed**2 * qdd))
     most = StatedLimits(
         Limits(torque=peak_torques(joints)),
-        "what a {joint.motor_type} can do,",
+        "what its motor can do",
         f"the motion needs it by the model, {CANNOT_FOLLOW}; {weigh_first}",
     )
     yield from limit_checks(replace(trajectory, tau=needed), speed, [most])

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
@@ -60,7 +59,7 @@ class StatedLimits(NamedTuple):
 
     Attributes:
         limits: of the joints.
-        owner: who states them, in words; may have the field ``joint``.
+        owner: what states them, in words, such as "the model's limit".
         remedy: what to do where a motion exceeds one, or what then happens.
         level: whether that forbids the run.
     """
@@ -74,18 +73,14 @@ class StatedLimits(NamedTuple):
 def motor_ratings(joints: Sequence[DamiaoJoint]) -> tuple[StatedLimits, StatedLimits]:
     """Return what the motors of n joints can do at most, and what they can do for long."""
     no_load = RPM * np.array([joint.spec.no_load_rpm or np.inf for joint in joints])
-    rated = np.array([joint.spec.rated_torque for joint in joints])
     most = Limits(velocity=no_load, torque=peak_torques(joints))
+    rated = Limits(torque=np.array([joint.spec.rated_torque for joint in joints]))
+    owner = "what its motor can do"
     smaller = f"{CANNOT_FOLLOW}: plan a smaller or slower motion"
     heat = "it gets too hot if that lasts"
     return (
-        StatedLimits(most, "what a {joint.motor_type} can do,", smaller),
-        StatedLimits(
-            Limits(torque=rated),
-            "what a {joint.motor_type} can do for long,",
-            heat,
-            Level.SAYS,
-        ),
+        StatedLimits(most, owner, smaller),
+        StatedLimits(rated, f"{owner} for long", heat, Level.SAYS),
     )
 
 
@@ -115,15 +110,14 @@ def limit_checks(
     for limits, owner, remedy, level in stated:
         chunk = trajectory.time / speed, limits.signals(*signals)
         uses = limits.uses([chunk], labels, tolerance)
-        # Each quantity has one use per joint.
-        for use, joint in zip(uses, cycle(trajectory.joints)):
+        for use in uses:
             if not use.is_kept:
                 yield Remark(
                     level,
                     "",
                     f"{use.owner}: {use.quantity} {use.middle + use.value:.4g} "
-                    f"{LIMITED[use.quantity]} is beyond {owner.format(joint=joint)} "
-                    f"{use.middle + use.limit:g}, at {use.time:.2f} s; {remedy}",
+                    f"{LIMITED[use.quantity]} is beyond {owner}, {use.middle + use.limit:g}, at "
+                    f"{use.time:.2f} s; {remedy}",
                 )
 
 
@@ -156,11 +150,12 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
         )
 
     stated = [*motor_ratings(joints)]
-    if plan.user_limits is not None:
-        remedy = "plan a motion within it"
-        stated.insert(0, StatedLimits(plan.user_limits, "your limit", remedy))
-    if plan.model_limits is not None:
-        stated.insert(0, StatedLimits(plan.model_limits, "the model's limit", SMALLER))
+    for limits, owner, remedy in (
+        (plan.user_limits, "your limit", "plan a motion within it"),
+        (plan.model_limits, "the model's limit", SMALLER),
+    ):
+        if limits is not None:
+            stated.insert(0, StatedLimits(limits, owner, remedy))
     yield from limit_checks(trajectory, settings.speed, stated)
 
 

@@ -264,8 +264,8 @@ class Plan:
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.mobility)
         # The transfer keeps the limits, too.
-        user = self.user_limits or Limits()
-        tightest = Limits.of(user, self.model_limits or Limits())
+        stated = filter(None, (self.user_limits, self.model_limits))
+        tightest = Limits.of(Limits(), *stated)
         speed = min(settings.approach_speed, np.min(tightest.velocity))
         # The peak acceleration of a transfer is at most 3.08 times its peak speed over its least
         # duration.

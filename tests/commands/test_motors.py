@@ -223,7 +223,7 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
         assert code == 1 and stops[0] == message
         for number, stop in enumerate(stops[:2]):
             name = f"motor {number + 1} (joint joint{number})"
-            beyond = "position 0.98 rad is beyond the model's limit 0.3, at "
+            beyond = "position 0.98 rad is beyond the model's limit, 0.3, at "
             assert stop.startswith(f"{name}: {beyond}")
     assert set(tmp_path.iterdir()) == files and only_asks(bus.wire.sent)
 
@@ -234,7 +234,7 @@ def test_limits_hold_for_what_is_played(capsys, bus, trajectory, arm_file):
     for code, options, message in (
         (2, "--keep-out 0 0 1 0", "--keep-out is about a model; add --model"),
         (2, f"--model {three}", f"has 2 joints but the chain of {three} has 3"),
-        (3, "--max-velocity 0.3", "rad/s is beyond your limit 0.3"),
+        (3, "--max-velocity 0.3", "rad/s is beyond your limit, 0.3"),
     ):
         assert bus.wire.frames == []
         assert message in fail(capsys, code, "play", trajectory, CAN0, "--yes", options)

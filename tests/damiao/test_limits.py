@@ -30,5 +30,5 @@ def test_a_position_is_stated_with_its_sign():
     swinging = trajectory_of(swing(2, amplitude=-0.5))
     ranges = Limits(np.array([-0.3, -0.6]), np.array([-0.1, 0.1]))
     (finding,) = excesses(swinging, 0.5, ranges)
-    words = "motor 1: position -0.5 rad is beyond your limit -0.3, at 2.00 s; slower"
+    words = "motor 1: position -0.5 rad is beyond your limit, -0.3, at 2.00 s; slower"
     assert finding == words

@@ -152,7 +152,7 @@ def test_a_ripple_that_no_motor_follows_is_refused(arm):
     qd[:, 0] += 0.15 * wave * np.sin(wave * time)
     first = refusals(arm, (time, q, qd, tau))[0]
     assert re.search(
-        "N·m is beyond what a DM4340 can do, 27, at .* cannot follow", first
+        "N·m is beyond what its motor can do, 27, at .* cannot follow", first
     )
 
 

@@ -72,11 +72,11 @@ def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(n
         (spec.peak_torque, [Level.REFUSES, Level.SAYS]),
     ):
         checks = checks_of(rows_of(1, torque=1.001 * torque), [name])
-        assert severities(checks, f"N·m is beyond what a {name} can do") == levels
+        assert severities(checks, "N·m is beyond what its motor can do") == levels
     for share in (0.999, 1.001):
         top = share * (spec.no_load_rpm or 0.0) * 2 * np.pi / 60
         checks = checks_of(rows_of(1, velocity=top), [name])
-        noted = severities(checks, f"rad/s is beyond what a {name} can do")
+        noted = severities(checks, "rad/s is beyond what its motor can do")
         assert noted == [Level.REFUSES] * (top > 0.0 and share > 1.0)
 
 
@@ -111,8 +111,8 @@ TWINS = damiao_joints(["DM4340"], 1) * 2
 NARROW = Limits(np.array([0.1, -1.0]), np.array([0.5, 1.0]))
 PLANS = (
     ({"joints": TWINS}, "CAN id 0x01 is used by more than one motor"),
-    ({"user_limits": NARROW}, "motor 1: position 0 rad is beyond your limit 0.1, at 0.00 s"),
-    ({"model_limits": NARROW}, "position 0 rad is beyond the model's limit 0.1, at 0.00 s; exp"),
+    ({"user_limits": NARROW}, "motor 1: position 0 rad is beyond your limit, 0.1, at 0.00 s"),
+    ({"model_limits": NARROW}, "position 0 rad is beyond the model's limit, 0.1, at 0.00 s; exp"),
 )  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def test_a_plan_needs_two_rows():
 ACCEPTED = PlaySettings(accept_register_limits=True)
 REGISTERS = (
     ({"TMAX": 20.0}, ACCEPTED, Level.SAYS, "20 but a DM4340 has 12.5, 10, 28: the motor's own"),
-    ({"VMAX": 0.3}, ACCEPTED, Level.REFUSES, "rad/s is beyond its registers' limit 0.3, at"),
+    ({"VMAX": 0.3}, ACCEPTED, Level.REFUSES, "rad/s is beyond its registers' limit, 0.3, at"),
     *(({"TMAX": value}, ACCEPTED, Level.REFUSES, f"10, {value:g} but a DM4340 has 12.5, 10, 28; if")
       for value in (0.0, np.nan, np.inf)),
     ({"TIMEOUT": 2e4}, PlaySettings(), Level.SAYS, "watchdog of 1000 ms is long"),
