@@ -152,8 +152,8 @@ class Drift(NamedTuple):
             motion = f"drifts at {np.degrees(abs(self.end_speed)):.2f} deg/s"
         if self.is_at_end:
             motion += " at an end of its range"
-        # Positive where it is heavier than the model.
-        excess = np.sign(self.gravity) * self.error
+        # Positive where it is heavier than the model; the model's may be zero.
+        excess = np.copysign(1.0, self.gravity) * self.error
         return (
             f"{self.joint} {motion}: its gravity differs from the model's "
             f"{abs(self.gravity):.2g} N·m by {with_error(excess, self.doubt, 'N·m')}"

@@ -19,7 +19,7 @@ from rigs.wrong_arms import resting_torque
 from robot_sysid.commands import Console
 from robot_sysid.commands.motors import holding
 from robot_sysid.damiao.bus import LinkError
-from robot_sysid.damiao.floating import SETTLING, Floating
+from robot_sysid.damiao.floating import SETTLING, Drift, Floating
 from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.protocol import DISABLE, DISABLED, special_frame
 from robot_sysid.damiao.references import Reference
@@ -160,6 +160,20 @@ def test_a_wrong_gravity_is_named_with_its_sign_and_size(
     assert test.code == code
     # The bound, and what a joint needs to stop.
     assert np.all(test.moved < 0.2)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "error", "difference"),
+    [(-2.0, -0.4, "2 N·m by 0.40"), (2.0, -0.4, "2 N·m by -0.40"), (0.0, 0.4, "0 N·m by 0.40")],
+)  # fmt: skip
+def test_a_joint_that_is_heavier_than_its_model_differs_by_more_than_zero(
+    gravity, error, difference
+):
+    drift = Drift("elbow", 0.0, gravity, error, 0.1, False)
+    words = (
+        f"elbow stands: its gravity differs from the model's {difference} ± 0.10 N·m"
+    )
+    assert str(drift) == words
 
 
 def test_options_do_not_let_an_arm_fall(float_test):
