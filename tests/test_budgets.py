@@ -17,7 +17,7 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3457,
-    "robot_sysid/commands": 10871,
+    "robot_sysid/commands": 10810,
     "robot_sysid/damiao": 31268,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 24800,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8673,
-    "robot_sysid/motion": 14895,
+    "robot_sysid/motion": 14874,
     "robot_sysid/pipeline": 9715,
     "robot_sysid/records": 10688,
     "robot_sysid/report": 4902,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3715,
     "robot_sysid": 11078,
-    "tests": 231959,
+    "tests": 231962,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,21 +146,19 @@ class ExcitationProblem:
         return self.torque(motion_of_samples(q, zero + qd, zero))
 
     @property
-    def unlimited(self) -> list[str]:
+    def unlimited(self) -> Iterator[str]:
         """Sentences on what nothing limits: contacts of links, torques of joints."""
-        torques = zip(self.joint_names, self.limits.torque)
-        sentences = {
-            "nothing keeps {} from touching anything: the model has no collision geometry there "
-            "that can meet any other": self.unguarded,
-            "no torque limit of {} is known: the model states none (an effort of 0 is none)": [
-                name for name, limit in torques if np.isinf(limit)
-            ],
-        }
-        return [
-            sentence.format(", ".join(names))
-            for sentence, names in sentences.items()
-            if names
-        ]
+        if self.unguarded:
+            yield (
+                f"nothing keeps {', '.join(self.unguarded)} from touching anything: the model has "
+                "no collision geometry there that can meet any other"
+            )
+        names = np.array(self.joint_names)[np.isinf(self.limits.torque)]
+        if len(names):
+            yield (
+                f"no torque limit of {', '.join(names)} is known: the model states none (an "
+                "effort of 0 is none)"
+            )
 
     @property
     def owners(self) -> list[str]:

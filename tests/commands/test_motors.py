@@ -259,7 +259,7 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
         "played 26 cycles, 0 skipped; started late by 0.00 ms" in out and len(read) == 1
     )
     # The check that is printed records nothing.
-    assert "Then, with the arm connected, check" in out and "--overwrite" not in out
+    assert "Next, with the arm connected, check" in out and "--overwrite" not in out
     assert "--accept computed\n" in out
     recording = read_recording(record)
     assert recording.ending == "completed"

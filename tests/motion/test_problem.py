@@ -61,7 +61,7 @@ def test_an_effort_of_zero_is_no_torque_limit_and_that_is_said(arm_file, effort)
     contacts, torques = build_problem(robot, LimitOptions()).unlimited
     assert torques.startswith("no torque limit of base_arm is known: ")
     limited = build_problem(robot, LimitOptions(max_torque=(5.0,)))
-    assert limited.unlimited == [contacts]
+    assert [*limited.unlimited] == [contacts]
 
 
 def test_without_a_band_only_an_option_limits_accelerations():

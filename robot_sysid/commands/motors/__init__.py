@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -38,7 +38,7 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.errors import EXIT_CODES, InputError, SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import Option, keys_of, options_of_all
+from robot_sysid.records.option_fields import Option, options_of_all
 from robot_sysid.simulation import SimulatedArmOptions
 
 
@@ -112,7 +112,7 @@ def run_command(
     except SysidError as error:
         session.verdict = (f"Not usable: {error}",)
         # An error of printing must not hide what happened to the motors.
-        with contextlib.suppress(SysidError):
+        with contextlib.suppress(Exception):
             print_result(error.exit_code)
         raise
     print_result(code)
@@ -137,24 +137,31 @@ def _command(
     example: str,
     description: str,
     groups: Mapping[str, Iterable[Option]],
-    **further: Any,
+    main: str = "",
+    required: Collection[str] = (),
 ) -> Command:
-    """Return the command ``motors NAME``; the arguments are those of ``Command``."""
+    """Return the command ``motors NAME``; the arguments are those of ``Command``.
+
+    The keys of ``main`` have blanks between them.
+    """
     return Command(
         f"motors {name}",
         f"motors {name} {example}",
         description,
         groups,
         partial(run_command, action, name),
-        codes=[*EXIT_CODES],
+        main.split(),
+        required,
+        EXIT_CODES,
         interrupted="interrupted; no motor is enabled",
-        **further,
     )
 
 
-# Keys of the main options of commands that move an arm.
-_MAIN = "model interface channel fd speed rate kp park record yes joint_map accept_register_limits"
-_HOLD_MAIN = "model joint_map channel interface park record yes plant_model"
+# Keys of the main options of commands that move an arm, as far as a command has them.
+_MAIN = (
+    "model interface channel fd speed rate kp park record yes joint_map plant_model float for_ "
+    "motor_type simulate pose"
+)
 _PLAYED = (
     _command(
         "simulate",
@@ -163,7 +170,7 @@ _PLAYED = (
         "Play a trajectory on the arm of a model with simulated Damiao motors, in simulated time "
         "and without a bus, with all checks of play.",
         {**_RECORDED, **_LIMITS, **_PLANT},
-        main=[*_MAIN.split(), "plant_model"],
+        main=_MAIN,
         required=("model",),
     ),
     _command(
@@ -174,7 +181,7 @@ _PLAYED = (
         "a trajectory can be played; without --channel only what the file itself needs. Enables no "
         "motor and writes nothing.",
         {**_CHECKED, **_LIMITS},
-        main=_MAIN.split(),
+        main=_MAIN,
     ),
     _command(
         "play",
@@ -184,7 +191,7 @@ _PLAYED = (
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
         {**_RECORDED, **_ASKING, **_LIMITS},
-        main=_MAIN.split(),
+        main=_MAIN,
     ),
     _command(
         "hold",
@@ -194,10 +201,7 @@ _PLAYED = (
         "stiffness away, and measure how fast the joints drift, hands off. An arm that falls is "
         "caught. A disabled arm sinks: support it.",
         {
-            "arm": [
-                *options_of_all(ModelOptions),
-                *options_of_all(ArmFiles, only=("model", "joint_map")),
-            ],
+            "arm": [option for option in _ARM if option.key != "trajectory"],
             "holding": options_of_all(HoldOptions),
             **_PLANT,
             **_BUS,
@@ -205,14 +209,14 @@ _PLAYED = (
             "how it is held": options_of_all(PlaySettings, only=HOLD_SETTINGS),
             "recording": options_of_all(RecordingOptions),
         },
-        main=[*_HOLD_MAIN.split(), *keys_of(HoldOptions)],
+        main=_MAIN,
         required=("model",),
     ),
     _command(
         "setup",
         setup,
         "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
-        "List the motors on a bus, or change one: ids, mode, watchdog, bit rate, zero, error. "
+        "List the motors on a bus, or change one: ids, mode, watchdog, error. "
         "Never while it is enabled.",
         {**_BUS, "setup": options_of_all(SetupOptions)},
     ),

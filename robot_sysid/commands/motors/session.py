@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -92,13 +92,19 @@ class Session(MotorRun):
         self.step = steps[0]
         self.verdict = (verdict, *chain.from_iterable(map(NextStep.lines, steps)))
 
-    def step_to(self, name: str, sentence: str, **changes: Any) -> NextStep:
+    def step_to(
+        self, name: str, sentence: str, *words: str, **changes: Any
+    ) -> NextStep:
         """Return the step to the motors command ``name`` with the options of this run.
 
-        ``changes`` are values of options, by key, that are added or replaced; None leaves one out.
+        Args:
+            name: of the command.
+            sentence: says what to do.
+            words: further words of the command.
+            changes: values of options, by key, that are added or replaced; None leaves one out.
         """
         arguments = command_arguments({**self.values, **changes}, RUN_OPTIONS)
-        return NextStep(sentence, (PROGRAM, "motors", name, *arguments))
+        return NextStep(sentence, (PROGRAM, "motors", name, *arguments, *words))
 
 
 _HEADINGS = "id reply mode PMAX VMAX TMAX type watchdog rad rad/s N·m degC state"
@@ -254,17 +260,13 @@ def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextSt
         return [step_with_motion("motion recorded", purpose, values, results, log)]
     options = {"speed": None, "record": None, "overwrite": None}
     options["channel"] = session.values.get("channel", USUAL_CHANNEL)
-    sentence = "with the arm connected, check its motors"
-    check = session.step_to("check", f"Next, {sentence}", **options)
+    sentence = "Next, with the arm connected, check its motors"
+    check = session.step_to("check", sentence, **options)
     if not is_fast:
         return [check]
     # From one recording no payload is weighed.
     purpose = purpose.replace("payload", "")
     identify = step_with_motion("motion recorded", purpose, values, results, log)
-    return [
-        NextStep(
-            "Next, identify the simulated arm from it, to see what the motion tells",
-            (*identify.command, "--accept", "computed"),
-        ),
-        replace(check, sentence=f"Then, {sentence}"),
-    ]
+    sentence = "Next, identify the simulated arm from it, to see what the motion tells"
+    words = *identify.command, "--accept", "computed"
+    return [NextStep(sentence, words), check]

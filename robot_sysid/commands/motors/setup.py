@@ -96,15 +96,13 @@ def setup(session: Session) -> int:
             for line in change_motor(link, motor, options):
                 session.console.stage(line)
             done = f"{motor.name} is changed"
-    steps = []
+    sentence = "Next, check the motors for a trajectory"
+    step = session.step_to("check", sentence, trajectory=DAMIAO_NAME)
     if changes - {"clear_error"} and not options.store:
         done += ", and forgets it when its power goes off"
-        store = session.step_to("setup", "Next, let it keep the changes")
-        words = "--motor", str(options.new_id or options.motor), "--store"
-        steps.append(replace(store, command=(*store.command, *words)))
-    sentence = f"{'Then' if steps else 'Next'}, check the motors for a trajectory"
-    steps.append(session.step_to("check", sentence, trajectory=DAMIAO_NAME))
-    session.conclude(f"Done: {done}", *steps)
+        store = "--motor", str(options.new_id or options.motor), "--store"
+        step = session.step_to("setup", "Next, let it keep the changes", *store)
+    session.conclude(f"Done: {done}", step)
     return 0
 
 
@@ -135,7 +133,7 @@ def change_motor(
         status = frame.data[0] >> 4
         if status == ENABLED:
             raise HardwareAbort(
-                f"{motor.name} is enabled; end the program that uses it, nothing was changed"
+                f"{motor.name} is enabled; end the program that uses it, nothing more is done"
             )
         return status
 
@@ -160,13 +158,11 @@ def change_motor(
         if value is None:
             continue
         require_disabled()
-        can_id = ids[Register.ESC_ID]
-        old = client.read(can_id, register)
-        client.write(can_id, register, value)
+        client.write(ids[Register.ESC_ID], register, value)
         if register in ids:
             ids[register] = value
-        old_text = "unknown" if old is None else register_text(register, old)
-        yield f"{motor.name}: {old_text} is now {register_text(register, value)}"
+        old = register_text(register, motor.registers.get(register, np.nan))
+        yield f"{motor.name}: {old} is now {register_text(register, value)}"
     if options.store:
         require_disabled()
         link.send(register_frame(STORE, ids[Register.ESC_ID], register=1))
