@@ -36,7 +36,7 @@ STEPS: Mapping[str, tuple[str, str]] = {
     ),
     "motion planned for motors": (
         "Next, rehearse the motion on simulated motors",
-        "motors simulate {trajectory} --model {model} {options}",
+        "motors simulate {trajectory} --model {model} {options} --record {folder}/rehearsed.csv",
     ),
     SAME_LOG: ("Next, identify the arm", "identify {model} {log} {options}"),
     "motion recorded": (

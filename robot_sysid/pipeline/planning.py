@@ -151,9 +151,9 @@ def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
         given = given_values(config.limits)
         options = options_of_all(config.limits, only=motors.kept_options)
         limits = command_arguments(given, options)
-        trajectory = config.output.output_dir / DAMIAO_NAME
-        state = "motion planned for motors"
-        return step_after(state, values, *limits, trajectory=trajectory)
+        folder = config.output.output_dir
+        words = {"folder": folder, "trajectory": folder / DAMIAO_NAME}
+        return step_after("motion planned for motors", values, *limits, **words)
     folder = config.plan_file.parent
     log = folder / "log.csv"
     return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
