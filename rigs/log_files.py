@@ -110,6 +110,19 @@ def assert_refused(
     return str(caught.value)
 
 
+def assert_read(
+    path: Path,
+    expected: Recording,
+    names: Sequence[str] = ("q", "tau"),
+    atol: float = 0.0,
+    **options: Any,
+) -> Recording:
+    """Assert that a log of JOINTS is read with these samples, and return it."""
+    log = read_measurements(path, JOINTS, **options)
+    assert_samples(expected, log, names, atol)
+    return log
+
+
 def read_table(
     folder: Path, rows: Any, titles: Sequence[str] = TITLES, **options: Any
 ) -> Recording:

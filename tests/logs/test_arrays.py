@@ -12,8 +12,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
 from rigs import recorded
-from rigs.log_files import JOINTS, assert_refused, motion, read_measurements
-from rigs.refusals import refused
+from rigs.log_files import (
+    JOINTS,
+    assert_read,
+    assert_refused,
+    motion,
+    read_measurements,
+)
 from robot_sysid.logs import LogOptions, arrays
 from robot_sysid.logs.reader import open_table
 from robot_sysid.logs.table import ROWS
@@ -21,6 +26,7 @@ from robot_sysid.signals.resampling import split_at_gaps
 
 DATA = motion()
 COLUMNS = {"t": DATA.time[:, None], "q": DATA.q, "qd": DATA.qd, "tau": DATA.tau}
+SAMPLES = ("time", "q", "qd", "tau")
 EXTRAS = {
     "gains": np.ones(7),
     "limits": np.ones((7, 2)),
@@ -92,20 +98,16 @@ def test_an_archive_of_something_else_is_refused(tmp_path):
     assert_refused("holds no arrays with a row per sample: log.csv", path)
 
 
-def assert_read(path):
-    piece = read_measurements(path, JOINTS)
-    for name in ("time", "q", "qd", "tau"):
-        assert_array_equal(getattr(piece, name), getattr(DATA, name))
-
-
 def test_matlab_7_3_is_hdf5_whose_arrays_are_turned(h5py, tmp_path):
+    """A data set may be empty, too."""
     path = tmp_path / "log.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in COLUMNS.items():
-            file[f"log/{name}"] = values.T
+            file.create_dataset(f"log/{name}", data=values.T, compression="gzip")
+        file["nothing"] = h5py.Empty("f8")
     with path.open("r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
-    assert_read(path)
+    assert_read(path, DATA, SAMPLES)
 
 
 ORDER = [2, 0, 1]
@@ -132,7 +134,7 @@ def write_hdf5(path, content):
 def test_names_of_joints_beside_arrays_outrank_their_order(tmp_path, write, names, key):
     path = tmp_path / "log.npz"
     write(path, {**BY_NAME, key: names})
-    assert_read(path)
+    assert_read(path, DATA, SAMPLES)
     write(path, {**BY_NAME, key: ["x", "y", "z"]})
     assert_refused("one position column for each joint", path)
 
@@ -144,7 +146,7 @@ def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column
     np.savez(path, **COLUMNS)
     with zipfile.ZipFile(path, "a") as packed:
         packed.writestr("notes.txt", "recorded on a Monday")
-    assert_read(path)
+    assert_read(path, DATA, SAMPLES)
     twice = {f"train/{name}": values for name, values in COLUMNS.items()}
     twice.update({f"test/{name}": values for name, values in COLUMNS.items()})
     np.savez(path, **twice)
@@ -168,16 +170,7 @@ def test_arrays_of_a_matlab_struct_are_read_and_cells_are_not(tmp_path):
     columns = {**COLUMNS, "q": DATA.q.T}
     saved = {"log": {"arm": columns, **EXTRAS}, "note": "text"}
     savemat(path, saved, do_compression=True)
-    assert_read(path)
-
-
-def test_an_empty_data_set_of_hdf5_is_no_column(h5py, tmp_path):
-    path = tmp_path / "log.hdf5"
-    with h5py.File(path, "w") as file:
-        for name, values in COLUMNS.items():
-            file.create_dataset(name, data=values, compression="gzip", chunks=True)
-        file["nothing"] = h5py.Empty("f8")
-    assert_read(path)
+    assert_read(path, DATA, SAMPLES)
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
@@ -208,16 +201,6 @@ def test_an_odd_description_is_refused(tmp_path, features, fault):
     path = recorded.lerobot(tmp_path, DATA)
     (path / "meta" / "info.json").write_text(json.dumps({"features": features}))
     assert_refused(fault, path)
-
-
-def test_a_data_set_of_actions_without_torque_names_the_option_that_uses_them(tmp_path):
-    positions = [f"{joint}.pos" for joint in JOINTS], DATA.q
-    features = {"observation.state": positions, "action": positions}
-    path = recorded.write_data_set(tmp_path / "set", "v3.0", 200, features)
-    with refused("base command .* are commanded positions") as caught:
-        read_measurements(path, JOINTS)
-    assert caught.value.options == (("--torque-from", "position-error"),)
-    assert caught.value.command == "identify"
 
 
 def test_actions_are_commands(tmp_path):

@@ -26,14 +26,9 @@ RUBBISH = (9, 20, 31, 42, 53)
 
 def spoiled(spoil):
     """A fault that makes some rows no rows of numbers."""
-
-    def fault(rows):
-        rows = rows.tolist()
-        for row in RUBBISH:
-            rows[row] = spoil(rows[row])
-        return rows
-
-    return fault
+    return lambda rows: [
+        spoil(row) if k in RUBBISH else row for k, row in enumerate(rows.tolist())
+    ]
 
 
 def changing(index, change):
@@ -83,16 +78,9 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "milliseconds": (
         changing(TIME, lambda t: 1e3 * t),
-        ["time steps of 5 s", "--units ms"],
+        ["time steps of 5 s", "--units ms, us or ns"],
     ),
-    "nanoseconds since 1970": (
-        changing(TIME, lambda t: 1.7e18 + 1e9 * t),
-        ["--units ms, us or ns"],
-    ),
-    "tiny time": (
-        changing(TIME, lambda t: 1e-3 * t),
-        ["time steps of 5e-06 s", "60 * TITLE"],
-    ),
+    "tiny time": (changing(TIME, lambda t: 1e-3 * t), ["5e-06 s", "60 * TITLE"]),
     "stamps of arrival": (
         changing((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
         ["of when rows were written (joint base would reach", "'rate = 200'"],
@@ -109,7 +97,7 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
         changing(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
         ["columns tau1, tau3", "--columns FILE"],
     ),
-    "joints separate_joints": (
+    "separate joints": (
         separate_joints,
         ["first: line 2, columns q1, tau1", "record all joints"],
     ),
@@ -183,15 +171,15 @@ def test_what_is_odd_about_a_log_is_said(tmp_path, name):
 
 def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path):
     titles = (*TITLES, *(f"{joint}_time" for joint in JOINTS))
-    stamps = table(motion())[:, :1] + np.array([0.0, 1e-3, 2e-3])
-    rows = np.column_stack((table(motion()), stamps))
-    np.testing.assert_array_equal(read_table(tmp_path, rows, titles).joint_time, stamps)
-    rows[7, 8] -= 0.05
-    with refused("run backwards"):
-        read_table(tmp_path, rows, titles)
-    rows = np.column_stack((table(motion()), stamps + 5.0))
+    rows = table(motion())
+    stamps = rows[:, :1] + np.array([0.0, 1e-3, 2e-3])
+    log = read_table(tmp_path, np.hstack((rows, stamps)), titles)
+    np.testing.assert_array_equal(log.joint_time, stamps)
     with refused(r"5 s off.*joint_time = none"):
-        read_table(tmp_path, rows, titles)
+        read_table(tmp_path, np.hstack((rows, stamps + 5.0)), titles)
+    stamps[7, 1] -= 0.05
+    with refused("run backwards"):
+        read_table(tmp_path, np.hstack((rows, stamps)), titles)
 
 
 def test_velocities_that_are_missing_are_left_out_and_no_row(tmp_path):

@@ -20,10 +20,10 @@ TAU = ("tau0", "tau1", "tau2")
 
 def write_half(folder, name, time, values, titles):
     """Write quantities with a column of time, or without where ``time`` is None."""
-    if time is None:
-        return write(folder / name, values.tolist(), titles)
-    rows = np.column_stack((time, values))
-    return write(folder / name, rows.tolist(), ("time", *titles))
+    if time is not None:
+        values = np.column_stack((time, values))
+        titles = ("time", *titles)
+    return write(folder / name, values, titles)
 
 
 def halves(folder, q_time, tau_time, q=DATA.q, tau=DATA.tau, name=""):
@@ -36,33 +36,35 @@ def read(paths, **options) -> list[Recording]:
     return open_logs(arm_of(JOINTS), paths, LogOptions(**options))
 
 
-def without_speed(data: Recording) -> Recording:
-    return Recording(data.time, data.q, None, data.tau)
+def assert_joined(
+    paths, expected=DATA, names=("time", "q", "tau"), atol=0.0, **options
+):
+    """Assert that files are one log with these samples, and return its notes."""
+    (log,) = read(paths, **options)
+    assert_samples(expected, log, names, atol)
+    assert log.name == str(paths[0]) and log.qd is None
+    return notes_of(log)
 
 
-@pytest.mark.parametrize("swapped", [False, True])
 @pytest.mark.parametrize("timed", [(0, 1), (0,), (1,)])
-def test_two_halves_read_as_the_file_with_both(tmp_path, timed, swapped):
+def test_two_halves_read_as_the_file_with_both(tmp_path, timed):
     times = [DATA.time if k in timed else None for k in range(2)]
     paths = halves(tmp_path, *times)
-    (log,) = read(paths[::-1] if swapped else paths)
-    assert_samples(without_speed(DATA), log)
-    assert "q.csv and torques of " in notes_of(log) and "row by row" in notes_of(log)
-    assert log.name == str(paths[0])
+    notes = assert_joined(paths)
+    assert "q.csv and torques of " in notes and "row by row" in notes
+    (log,) = read(paths[::-1])
+    assert_samples(DATA, log, ("time", "q", "tau"))
 
 
 def test_halves_without_time_need_a_rate_and_as_many_rows(tmp_path):
-    columns = tmp_path / "columns.txt"
-    columns.write_text("rate = 200")
     paths = halves(tmp_path, None, None)
     with refused("no time column"):
         read(paths)
-    (log,) = read(paths, columns=columns)
-    assert_samples(without_speed(DATA), log, atol=1e-15)
+    assert_joined(paths, atol=1e-15, columns="rate = 200")
     for times in ((None, None), (DATA.time[:-1], None)):
         paths = halves(tmp_path, *times, q=DATA.q[:-1])
         with refused("599 rows of positions and .* 600 of torques"):
-            read(paths, columns=columns)
+            read(paths, columns="rate = 200")
 
 
 def test_a_torque_that_was_read_later_is_interpolated_by_its_time(tmp_path):
@@ -81,9 +83,8 @@ def test_a_torque_that_was_read_later_is_interpolated_by_its_time(tmp_path):
 
 def test_nothing_is_interpolated_within_a_hole_of_the_torques(tmp_path):
     kept = np.r_[0:200, 210:600]
-    (log,) = read(halves(tmp_path, DATA.time, DATA.time[kept], tau=DATA.tau[kept]))
-    assert_samples(without_speed(DATA[kept]), log, ("q", "tau", "time"), atol=1e-9)
-    assert "empty or NaN cells: 10 " in notes_of(log)
+    paths = halves(tmp_path, DATA.time, DATA.time[kept], tau=DATA.tau[kept])
+    assert "empty or NaN cells: 10 " in assert_joined(paths, DATA[kept], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -102,37 +103,32 @@ def test_halves_of_other_times_or_rates_are_refused(tmp_path, time, rows, fault)
 
 
 def test_a_gripper_makes_no_whole_log_of_a_half(tmp_path):
-    paths = halves(tmp_path, DATA.time, DATA.time)
-    for path, title in zip(paths, ("gripper_force", "gripper_position")):
-        first, *lines = path.read_text().splitlines()
-        text = "\n".join([f"{first},{title}", *(f"{line},0.1" for line in lines)])
-        path.write_text(text + "\n")
-    (log,) = read(paths)
-    assert_samples(without_speed(DATA), log)
+    columns = np.column_stack((DATA.q, DATA.tau, 0.1 * DATA.time))
+    positions = (*Q, "gripper_force")
+    torques = (*TAU, "gripper_position")
+    paths = [
+        write_half(tmp_path, "q.csv", DATA.time, columns[:, [0, 1, 2, 6]], positions),
+        write_half(tmp_path, "tau.csv", DATA.time, columns[:, 3:], torques),
+    ]
+    assert_joined(paths)
 
 
 def test_declared_columns_of_two_files_are_joined(tmp_path):
     """Each file has the titles of its own quantity alone."""
-    time = DATA.time
-    positions = write_half(tmp_path, "a.csv", time, DATA.q, ("A1", "A2", "A3"))
-    torques = write_half(tmp_path, "m.csv", time, DATA.tau, ("M1", "M2", "M3"))
-    columns = tmp_path / "columns.txt"
-    columns.write_text("position = A*\ntorque = M*\n")
-    (log,) = read([positions, torques], columns=columns)
-    assert_samples(without_speed(DATA), log)
-    columns.write_text(
-        "position = A*\ntorque.base = M1\ntorque.elbow = none\ntorque.wrist = -M3"
-    )
-    (log,) = read([positions, torques], columns=columns)
-    assert_samples(replace(without_speed(DATA), tau=DATA.tau * [1.0, 0.0, -1.0]), log)
+    paths = [
+        write_half(tmp_path, "a.csv", DATA.time, DATA.q, ("A1", "A2", "A3")),
+        write_half(tmp_path, "m.csv", DATA.time, DATA.tau, ("M1", "M2", "M3")),
+    ]
+    assert_joined(paths, columns="position = A*, torque = M*")
+    single = "torque.base = M1, torque.elbow = none, torque.wrist = -M3"
+    expected = replace(DATA, tau=DATA.tau * [1.0, 0.0, -1.0])
+    assert_joined(paths, expected, columns=f"position = A*, {single}")
 
 
 def test_units_of_time_in_titles_are_those_of_each_file(tmp_path):
     paths = halves(tmp_path, DATA.time, 1e3 * DATA.time)
-    text = paths[1].read_text().replace("time,", "time [ms],")
-    paths[1].write_text(text)
-    (log,) = read(paths)
-    assert_samples(without_speed(DATA), log)
+    paths[1].write_text(paths[1].read_text().replace("time,", "time [ms],"))
+    assert_joined(paths)
 
 
 def test_several_halves_are_paired_in_their_order_beside_whole_logs(tmp_path):
@@ -154,9 +150,8 @@ def test_several_halves_are_paired_in_their_order_beside_whole_logs(tmp_path):
 
 
 def test_commanded_positions_in_a_file_of_their_own_are_read_for_servos(tmp_path):
-    paths = halves(tmp_path, DATA.time, DATA.time)
-    titles = ("time", "q_des1", "q_des2", "q_des3")
-    rows = np.column_stack((DATA.time, DATA.q + 0.01))
-    paths[1] = write(tmp_path / "command.csv", rows.tolist(), titles)
-    (log,) = read(paths, commanded=True)
+    positions, _ = halves(tmp_path, DATA.time, DATA.time)
+    titles = ("q_des1", "q_des2", "q_des3")
+    commands = write_half(tmp_path, "command.csv", DATA.time, DATA.q + 0.01, titles)
+    (log,) = read([positions, commands], commanded=True)
     np.testing.assert_allclose(log.tau, 0.01, rtol=0.0, atol=1e-15)

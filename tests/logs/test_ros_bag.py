@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
+from itertools import chain
 
 import numpy as np
-from numpy.testing import assert_array_equal
 
 from rigs import recorded
-from rigs.log_files import JOINTS, assert_refused, motion, read_measurements
+from rigs.log_files import (
+    JOINTS,
+    assert_read,
+    assert_refused,
+    motion,
+    read_measurements,
+)
 from rigs.model_files import make_pipe
 
 DATA = motion(60)
@@ -17,47 +23,42 @@ DATA = motion(60)
 
 def write_bag(path, rows):
     """A bag with one message per row: time, joints' names, q, qd and tau."""
-    return recorded.write_bag(path, [("/joint_states", recorded.STATE, states(rows))])
+    return recorded.write_bag(path, [topic("/joint_states", rows)])
 
 
-@recorded.later_of_types
-def states(types, rows):
-    """Yield JointState messages of rows of the arguments of ``joint_state``."""
-    for row in rows:
-        yield recorded.joint_state(types, *row)
+def topic(name, rows):
+    """A topic with a JointState of each row of the arguments of ``joint_state``."""
+
+    def messages(types):
+        return (recorded.joint_state(types, *row) for row in rows)
+
+    return name, recorded.STATE, messages
 
 
 def rows_of(indices, joints=(0, 1, 2)):
     """Rows of the motion at these indices, with some of its joints."""
-    rows = []
     for k in indices:
         values = (JOINTS, DATA.q[k], DATA.qd[k], DATA.tau[k])
-        rows.append((DATA.time[k], *(np.take(array, joints) for array in values)))
-    return rows
+        yield DATA.time[k], *(np.take(array, joints) for array in values)
 
 
 def test_what_is_not_in_one_message_or_not_in_order_is_refused(tmp_path):
-    rows = []
-    for k in range(60):
-        rows += [*rows_of([k], [0, 1]), *rows_of([k], [2])]
-    fault = (
-        "have empty or NaN cells.*record all joints, and position and torque, in one"
-    )
-    assert_refused(fault, write_bag(tmp_path / "apart", rows))
+    apart = zip(rows_of(range(60), [0, 1]), rows_of(range(60), [2]))
+    path = write_bag(tmp_path / "apart", chain(*apart))
+    assert_refused("have empty or NaN cells.*position and torque, in one", path)
     back = rows_of([*range(40), *range(30, 60)])
-    fault = r"backwards in time.*message 41"
-    assert_refused(fault, write_bag(tmp_path / "back", back))
+    path = write_bag(tmp_path / "back", back)
+    assert_refused("backwards in time.*message 41", path)
 
 
 def test_messages_of_another_publisher_are_left_out_with_a_note(tmp_path):
-    arm = rows_of(range(60))
+    arm = [*rows_of(range(60))]
     gripper = [(t + 1e-3, ["f"], [0.0], [0.0], [0.0]) for t, *_ in arm]
     parts = [(t + 1e-3, ["f", JOINTS[0]], *[[0.0, 0.0]] * 3) for t, *_ in arm]
     without_effort = [(t + 1e-3, names, q, None, None) for t, names, q, *_ in arm]
     for number, others in enumerate((gripper, parts, without_effort)):
         rows = sorted([*arm, *others], key=lambda row: row[0])
-        log = read_measurements(write_bag(tmp_path / str(number), rows), JOINTS)
-        assert_array_equal(log.q, DATA.q)
+        log = assert_read(write_bag(tmp_path / str(number), rows), DATA)
         assert "of another publisher, are left out" in log.notes[-1]
 
 
@@ -74,8 +75,8 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
     gripper = [(t, ["f"], [0.0], [0.0], [0.0]) for t in DATA.time]
     desired = [(t, JOINTS, q, None, None) for t, q in zip(DATA.time, DATA.q)]
     topics = [
-        ("/gripper", recorded.STATE, states(gripper)),
-        ("/desired", recorded.STATE, states(desired)),
+        topic("/gripper", gripper),
+        topic("/desired", desired),
         ("/joint_states", recorded.STATE, recorded.shuffled_states(DATA)),
     ]
     path = recorded.write_bag(tmp_path / "bag", topics)
@@ -101,6 +102,5 @@ def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
             file.commit()
         metadata = folder / "metadata.yaml"
         metadata.write_text(metadata.read_text().replace("version: 9", "version: 5"))
-    log = read_measurements(path, JOINTS)
-    assert_array_equal(log.q, DATA.q)
+    assert_read(path, DATA)
     assert_refused("FrankaRobotState. without its definition: .*-s mcap", alone)

@@ -6,13 +6,22 @@ import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rigs import arms
 from rigs.command_line import OUT, CommandLine
-from rigs.log_files import JOINTS, arm_of, limits, motion, open_log, write
+from rigs.log_files import (
+    JOINTS,
+    arm_of,
+    assert_samples,
+    limits,
+    motion,
+    open_log,
+    write,
+)
 from rigs.refusals import refused
 from rigs.wrong_arms import truth_of
 from robot_sysid.errors import InputError
@@ -122,26 +131,24 @@ def write_twin(path, log, columns):
     return write(path, rows, () if "#q1" in titles else titles)
 
 
-def suggested(robot, path, **options):
-    """Return the options that remedy the refusal of a log."""
+def suggested(truth, folder, signals, robot=None, **options):
+    """Return a log's path, and the options that remedy its refusal."""
+    path = write_twin(folder / "log.csv", truth.log, signals)
     with pytest.raises(InputError) as caught:
-        open_log(robot, path, LogOptions(**options))
-    (remedy,) = caught.value.options
-    return remedy
+        open_log(robot or truth.robot, path, LogOptions(**options))
+    ((flag, *remedy),) = caught.value.options
+    assert flag == "--columns"
+    return path, *remedy
 
 
 @pytest.mark.parametrize("name", TWINS)
 def test_the_line_reads_a_twin_as_the_log_with_plain_titles(truth, tmp_path, name):
     columns, expected = TWINS[name]
-    path = write_twin(tmp_path / "log.csv", truth.log, columns)
-    flag, line = suggested(truth.robot, path)
-    assert (flag, line) == ("--columns", expected)
+    path, line = suggested(truth, tmp_path, columns)
+    assert line == expected
     log = open_log(truth.robot, path, LogOptions(columns=line))
-    for quantity in ("time", "q", "tau"):
-        found = getattr(log, quantity)
-        start = found[0] if quantity == "time" else 0.0
-        expected_samples = getattr(truth.log, quantity)
-        np.testing.assert_allclose(found - start, expected_samples, atol=2e-5)
+    log = replace(log, time=log.time - log.time[0])
+    assert_samples(truth.log, log, ("time", "q", "tau"), atol=2e-5)
 
 
 BLANKS = {
@@ -170,8 +177,7 @@ BLANKS = {
 @pytest.mark.parametrize("name", BLANKS)
 def test_what_cannot_be_told_is_a_blank_and_refused(truth, tmp_path, name):
     columns, key = BLANKS[name]
-    path = write_twin(tmp_path / "log.csv", truth.log, columns)
-    _, line = suggested(truth.robot, path)
+    path, line = suggested(truth, tmp_path, columns)
     assert f"{key} = ?" in line
     with refused(f"{key} = .* is a blank"):
         open_log(truth.robot, path, LogOptions(columns=line))
@@ -179,21 +185,21 @@ def test_what_cannot_be_told_is_a_blank_and_refused(truth, tmp_path, name):
 
 def test_torques_of_the_other_arm_are_not_proposed(truth, tmp_path):
     columns = {"time": "t", "right_j{}_pos_x": "q", "left_j{}_trq_x": "tau"}
-    path = write_twin(tmp_path / "log.csv", truth.log, columns)
+    given = "position = right_j*_pos_x"
     for side, torque in (("left", "left_j*_trq_x"), ("right", "?")):
         names = tuple(f"{side}_j{k}" for k in range(1, 5))
         robot = replace(truth.robot, joint_names=names)
-        _, line = suggested(robot, path, columns="position = right_j*_pos_x")
-        assert line == f"position = right_j*_pos_x, torque = {torque}"
+        _, line = suggested(truth, tmp_path, columns, robot, columns=given)
+        assert line == f"{given}, torque = {torque}"
 
 
 def test_what_was_declared_stays_in_the_line(truth, tmp_path):
     columns = {"zeit": "ms", "w{}": "deg", "m{}_torque_x": "tau"}
-    path = write_twin(tmp_path / "log.csv", truth.log, columns)
-    flag, line = suggested(truth.robot, path, columns="position = w*, units = deg")
-    assert line == "position = w*, units = deg, ms, time = zeit, torque = m*_torque_x"
+    given = "position = w*, units = deg"
+    path, line = suggested(truth, tmp_path, columns, columns=given)
+    assert line == f"{given}, ms, time = zeit, torque = m*_torque_x"
     with in_python(), refused(r'give columns="position = w\*, units'):
-        open_log(truth.robot, path, LogOptions(columns="position = w*, units = deg"))
+        open_log(truth.robot, path, LogOptions(columns=given))
 
 
 @pytest.mark.parametrize(
@@ -203,17 +209,15 @@ def test_a_column_that_counts_is_a_clock_where_it_has_a_unit(
     truth, tmp_path, title, line
 ):
     columns = {title: "row", "Ist-Position_A{}": "deg", "Ist-Moment_A{}": "tau"}
-    path = write_twin(tmp_path / "log.csv", truth.log, columns)
-    assert suggested(truth.robot, path)[1].startswith(line)
+    assert suggested(truth, tmp_path, columns)[1].startswith(line)
 
 
 def test_slides_have_units_of_their_own(tmp_path):
-    robot = arm_of(JOINTS, limits(1.0), (False, True, False))
     log = motion()
+    robot = arm_of(JOINTS, limits(1.0), (False, True, False))
     shown = replace(log, q=log.q * np.degrees([1.0, np.radians(1e3), 1.0]))
     columns = {"time": "t", "x{}_pos_y": "q", "tau{}": "tau"}
-    path = write_twin(tmp_path / "log.csv", shown, columns)
-    _, line = suggested(robot, path)
+    path, line = suggested(SimpleNamespace(robot=robot, log=shown), tmp_path, columns)
     assert line == "position = x*_pos_y, units = deg, mm"
     found = open_log(robot, path, LogOptions(columns=line))
     np.testing.assert_allclose(found.q, log.q, atol=1e-12)
@@ -221,10 +225,9 @@ def test_slides_have_units_of_their_own(tmp_path):
 
 def test_currents_come_with_their_constants(truth, tmp_path):
     columns = {"zeit": "t", "w{}_pos_x": "q", "x{}_current": "tau"}
-    path = write_twin(tmp_path / "log.csv", truth.log, columns)
     line = "time = zeit, position = w*_pos_x, torque = x*_current"
-    remedy = suggested(truth.robot, path)
-    assert remedy == ("--columns", line, "--torque-constants", "1")
+    _, *remedy = suggested(truth, tmp_path, columns)
+    assert remedy == [line, "--torque-constants", "1"]
 
 
 @pytest.mark.slow
@@ -234,24 +237,18 @@ def test_the_printed_command_gives_the_result_of_plain_titles(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.xml").write_text(ARM)
-    plain = {"time": "t", "q{}": "deg", "tau{}": "tau"}
-    if name == "no titles":
-        plain = {"time": "t", "q{}": "q", "qd{}": "qd", "tau{}": "tau"}
     command = CommandLine(tmp_path, capsys)
+    identify = ["identify", "arm.xml", "log.csv"]
     quantities = []
-    for twin in (plain, TWINS[name][0]):
+    for twin in ({"time": "t", "q{}": "q", "tau{}": "tau"}, TWINS[name][0]):
         write_twin(tmp_path / "log.csv", truth.log, twin)
-        words = ["identify", "arm.xml", "log.csv"]
-        if twin is plain:
-            words += [] if name == "no titles" else ["--units", "deg"]
-        else:
-            printed = command.run(*words, code=2).err.splitlines()[-1]
-            assert printed.startswith(
-                "  robot-sysid identify arm.xml log.csv --columns "
-            )
+        words = identify
+        if quantities:
+            printed = command.run(*identify, code=2).err.splitlines()[-1]
+            assert printed.startswith(f"  robot-sysid {' '.join(identify)} --columns ")
             # Words with blanks stay one.
             words = [*map(Path, shlex.split(printed)[1:])]
-        printed = command.run(*words)
+        command.run(*words)
         quantities.append(json.loads((OUT / "params.json").read_text())["quantities"])
     for expected, found in zip(*quantities):
         assert (found["name"], found["of"]) == (expected["name"], expected["of"])

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from rigs.log_files import (
     JOINTS,
     assert_refused,
+    assert_samples,
     motion,
     notes_of,
     read_measurements,
@@ -34,8 +35,7 @@ def test_rows_with_holes_or_rubbish_are_left_out_and_counted(tmp_path, rows_hit,
         rows[k][4] = cell
     log = read_table(tmp_path, rows)
     usable = np.setdiff1d(np.arange(len(data)), list(rows_hit))
-    assert_array_equal(log.time, data.time[usable])
-    assert_array_equal(log.tau, data.tau[usable])
+    assert_samples(data[usable], log, ("time", "tau"))
     assert f": {len(rows_hit)} (first: line {min(rows_hit) + 2}" in notes_of(log)
 
 

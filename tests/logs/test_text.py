@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rigs.log_files import (
     JOINTS,
     TITLES,
+    assert_read,
     assert_samples,
     motion,
     read_measurements,
@@ -26,6 +27,7 @@ from robot_sysid.logs import text
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Recording
 
+DATA = replace(motion(50), qd=None)
 NAMES = st.lists(
     st.text("abcXYZ019_-. #/", min_size=1, max_size=8).map(str.strip).filter(bool),
     min_size=3,
@@ -47,25 +49,17 @@ def test_a_written_log_reads_back_to_the_last_bit(tmp_path, names, optional, cut
     rng = np.random.default_rng(len(cuts))
     time = 0.1 + np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 40))
     q = np.sin(time[:, None] * rng.uniform(10.0, 25.0, 3))
-    values = {
-        "time": time,
-        "q": q,
-        "qd": rng.normal(size=q.shape),
-        "qdd": rng.normal(size=q.shape),
-        "joint_time": time[:, None] + np.array([0.0, 1e-4, 2e-4]),
-        "tau": rng.normal(size=q.shape) * 1e3,
-    }
-    for name in {"qd", "qdd", "joint_time"} - optional:
-        values[name] = None
+    values = {name: rng.normal(size=q.shape) for name in ("qd", "qdd")}
+    values["joint_time"] = time[:, None] + np.array([0.0, 1e-4, 2e-4])
+    values = {name: values[name] for name in optional}
+    data = Recording(
+        time, q, **{"qd": None, **values}, tau=1e3 * rng.normal(size=q.shape)
+    )
     edges = [0, *sorted(cuts), len(time)]
-    chunks = []
-    for start, end in zip(edges, edges[1:]):
-        arrays = {n: v if v is None else v[start:end] for n, v in values.items()}
-        chunks.append(Recording(**arrays))
+    chunks = [data[start:end] for start, end in zip(edges, edges[1:])]
     path = tmp_path / "log.csv"
     write_measurement_csv(path, names, chunks)
-    expected = Recording(**{**values, "qdd": None})
-    assert_samples(expected, read_measurements(path, names))
+    assert_samples(replace(data, qdd=None), read_measurements(path, names))
 
 
 @pytest.mark.parametrize("size", [1, 700, 40_000])
@@ -104,11 +98,10 @@ STYLES = {
 
 @pytest.mark.parametrize("style", STYLES)
 def test_every_layout_reads_the_same(tmp_path, style):
-    data = motion(50)
-    path = write(tmp_path / "log.csv", table(data))
+    path = write(tmp_path / "log.csv", table(DATA))
     content = STYLES[style](path.read_text())
     path.write_bytes(content if style == "utf16" else content.encode())
-    assert_samples(replace(data, qd=None), read_measurements(path, JOINTS))
+    assert_read(path, DATA, ("time", "q", "qd", "tau"))
 
 
 @pytest.mark.parametrize(
@@ -116,37 +109,29 @@ def test_every_layout_reads_the_same(tmp_path, style):
     ["{day}T{clock}", "{day} {clock}Z", "{day}T{clock}+05:30", "{clock}", '"{clock}"'],
 )
 def test_dates_are_times_from_the_first(tmp_path, form):
-    data = motion(50)
-    rows = table(data).tolist()
+    rows = table(DATA).tolist()
     for row in rows:
         clock = f"23:15:{row[0]:012.9f}"
         row[0] = form.format(day="2024-05-01", clock=clock)
-    log = read_table(tmp_path, rows)
-    assert_samples(replace(data, qd=None), log, atol=1e-12)
+    assert_samples(DATA, read_table(tmp_path, rows), atol=1e-12)
 
 
 @pytest.mark.parametrize(("separator", "mark"), [(";", ""), (",", '"')])
 def test_a_decimal_comma_need_not_be_in_the_first_row_nor_unquoted(
     tmp_path, separator, mark
 ):
-    data = motion(50)
-    data = replace(data, q=data.q - data.q[0], tau=data.tau - data.tau[0], qd=None)
+    data = replace(DATA, q=DATA.q - DATA.q[0], tau=DATA.tau - DATA.tau[0])
     rows = [["0"] * 7]
     for row in table(data).tolist()[1:]:
         rows.append([f"{mark}{cell!r}{mark}".replace(".", ",") for cell in row])
-    path = write(tmp_path / "log.csv", rows, separator=separator)
-    assert_samples(data, read_measurements(path, JOINTS))
+    assert_read(write(tmp_path / "log.csv", rows, separator=separator), data)
 
 
 def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
-    data = motion(30)
-    rows = table(data).tolist()
-    for row in rows[::2]:
-        row.append("nan")
-    for row in rows[1::2]:
-        row.append('"ok, fine"')
+    words = ["nan", '"ok, fine"'] * 25
+    rows = [[*row, word] for row, word in zip(table(DATA), words)]
     log = read_table(tmp_path, rows, (*TITLES, "status"))
-    assert_samples(replace(data, qd=None), log)
+    assert_samples(DATA, log)
     assert any("not used: status" in note for note in log.notes)
 
 

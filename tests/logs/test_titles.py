@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from rigs.log_files import assert_refused, motion, read_measurements, write
 from robot_sysid.logs.titles import read_title
 
-JOINTS = ("joint0", "joint1", "joint2")
 JOINTS4 = ("joint1", "joint2", "joint3", "joint4")
 
 
@@ -38,18 +37,6 @@ def test_a_title_stands_for_the_quantity_that_its_words_name(title, quantity):
     assert read_title(title, ("ref_joint", "joint1")).joint_quantity == quantity
 
 
-@pytest.mark.parametrize("title", COMMANDS)
-def test_commands_take_the_place_of_torques(tmp_path, title):
-    data = motion()
-    rows = np.column_stack((data.time, data.q, np.roll(data.q, 2, axis=0)))
-    titles = ["time", "q0", "q1", "q2", *(title.format(k) for k in range(3))]
-    path = write(tmp_path / "log.csv", rows, titles)
-    log = read_measurements(path, JOINTS, commanded=True)
-    assert_allclose(log.command, rows[:, 4:])
-    assert_allclose(log.tau, rows[:, 4:] - data.q)
-    assert_refused("one torque column for each", path)
-
-
 @pytest.mark.parametrize(
     "title",
     [
@@ -75,13 +62,3 @@ def test_names_around_numbers_are_matched_as_a_whole_set(tmp_path, title):
     (note,) = [note for note in log.notes if note.startswith("log joints: ")]
     assert "are joint1, joint2, joint3; not used: " in note
     assert_refused("one position column .*each joint", path, JOINTS4)
-
-
-def test_a_gripper_that_counts_on_is_no_joint_of_the_arm(tmp_path):
-    data = motion()
-    rows = np.column_stack((data.time, data.q, data.q[:, 0], data.tau))
-    titles = ["time", *(f"{joint}_pos" for joint in JOINTS4)]
-    titles += [f"{joint}_tau" for joint in JOINTS4[:3]]
-    path = write(tmp_path / "log.csv", rows, titles)
-    log = read_measurements(path, JOINTS4[:3])
-    assert_array_equal(log.q, data.q)
