@@ -35,16 +35,39 @@ from robot_sysid.logs.ros_messages import KORTEX, LBR
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording, RobotModel
 
+SIX_JOINTS = arms.serial_arm(
+    arms.SEVEN_AXES[:6], joint='range="-2.5 2.5" frictionloss=".2" damping=".1"'
+)
+"""An arm of six joints, which ``six_joint_model`` gives a maker's joint names."""
+OPENARM = MODELS / "openarm_v2" / "openarm_bimanual.xml"
+SO101 = MODELS / "so101" / "so101_new_calib.xml"
+
+
+def six_joint_model(folder: Path) -> Path:
+    """Write the arm of six joints as a model with joints joint1 .. joint6."""
+    text = SIX_JOINTS
+    for number in range(6, 0, -1):
+        text = text.replace(f'"joint{number - 1}"', f'"joint{number}"')
+    path = folder / "arm.xml"
+    path.write_text(text)
+    return path
+
 
 @cache
 def model_of(path: str) -> RobotModel:
-    """Return a public model, by its path below the folder of models."""
-    return load_robot_model(MODELS / path)
+    """Return a public model, of OpenArm the left arm, or for "" the arm of six joints.
+
+    ``path``: below the folder of models.
+    """
+    joint = "openarm_left_joint7" if path == str(OPENARM) else None
+    if path:
+        return load_robot_model(MODELS / path, joint=joint)
+    return arms.robot_of(SIX_JOINTS)
 
 
 @cache
-def motion_of(path: str, rate: float = 250.0, load: float = 0.0) -> Recording:
-    """Return 12 s of a motion of a public model whose links are a little off, with sensor noise.
+def motion_of(path: str, rate: float, load: float = 0.0) -> Recording:
+    """Return 12 s of a motion of a model whose links are a little off, with sensor noise.
 
     ``load`` is the mass of a weight on the terminal link [kg]; the motion is the same with it.
     """
@@ -88,7 +111,7 @@ def _numbered(name: str, count: int = 7) -> list[str]:
 
 
 def franka(
-    folder: Path, arm: str, model: str, storage: str, topic_names: Sequence[str]
+    folder: Path, data: Recording, arm: str, storage: str, topic_names: Sequence[str]
 ) -> Path:
     """A bag of topics of franka_bringup's launch file, with the hand.
 
@@ -96,11 +119,9 @@ def franka(
     the fingers; joint_state_publisher puts both together in /joint_states, at 30 Hz, or at a rate
     that is set where it is the only one.
     """
-    data = motion_of(model, rate=1000.0)
     joints = _numbered(f"{arm}_joint")
     fingers = _numbered(f"{arm}_finger_joint", 2)
-    slow = data[::33] if len(topic_names) > 1 else motion_of(model)
-    both = with_extra_joints(slow, 2, 0.035)
+    both = with_extra_joints(data[::33] if len(topic_names) > 1 else data, 2, 0.035)
     contents = {
         "/franka/joint_states": states(data, joints),
         "/franka_gripper/joint_states": states(both, joints + fingers, [7, 8]),
@@ -120,7 +141,6 @@ UR_JOINTS = (
 )
 UR_CONSTANTS = np.array([11.5, 11.5, 10.8, 7.9, 7.9, 7.9])
 """Torque at a UR's joint per ampere of its motor in these recordings [N m/A]."""
-UR5E = "universal_robots_ur5e/ur5e.xml"
 
 
 def in_amperes(data: Recording) -> Recording:
@@ -128,42 +148,26 @@ def in_amperes(data: Recording) -> Recording:
     return replace(data, tau=data.tau / UR_CONSTANTS)
 
 
-def universal_robots(
-    folder: Path, storage: str, is_current: bool, load: float = 0.0
-) -> Path:
+def universal_robots(folder: Path, data: Recording) -> Path:
     """A bag of the UR driver: joints by the alphabet, 500 Hz; effort is current before PolyScope
     5.23, and by default.
 
     joint_state_broadcaster publishes /dynamic_joint_states beside /joint_states.
     """
-    data = motion_of(UR5E, 500.0, load)
-    data = in_amperes(data) if is_current else data
-    order = np.argsort(UR_JOINTS)
-    topics = [("/joint_states", STATE, states(data, UR_JOINTS, order))]
-    if storage != "ROS1":
-        dynamic = recorded.dynamic_states(data, UR_JOINTS, [[0, 1, 2]] * 6)
-        topics.append(("/dynamic_joint_states", recorded.DYNAMIC, dynamic))
-    return write_bag(folder / "ur", topics, storage)
+    dynamic = recorded.dynamic_states(data, UR_JOINTS, [[0, 1, 2]] * 6)
+    topics = [
+        ("/joint_states", STATE, states(data, UR_JOINTS, np.argsort(UR_JOINTS))),
+        ("/dynamic_joint_states", recorded.DYNAMIC, dynamic),
+    ]
+    return write_bag(folder / "ur", topics, "MCAP")
 
 
-def rtde(folder: Path, torque: str, load: float = 0.0) -> Path:
-    """What record.py of the RTDE client writes of a UR."""
-    data = motion_of(UR5E, 500.0, load)
-    measured = in_amperes(data) if torque == "actual_current" else data
-    return recorded.rtde(folder, measured, torque)
-
-
-XARM = "ufactory_xarm7/xarm7.xml"
-
-
-def xarm(folder: Path, storage: str) -> Path:
+def xarm(folder: Path, data: Recording) -> Path:
     """A bag of xarm_api with the gripper: 100 Hz ("dev" reports), and twice a second a message
     of the gripper's six joints with neither velocity nor effort.
     """
-    messages = xarm_states(motion_of(XARM, rate=100.0))
-    return write_bag(
-        folder / "xarm", [("/xarm/joint_states", STATE, messages)], storage
-    )
+    topics = [("/xarm/joint_states", STATE, xarm_states(data))]
+    return write_bag(folder / "xarm", topics)
 
 
 @later_of_types
@@ -181,12 +185,10 @@ def xarm_states(types: Any, data: Recording):
     return sorted([*arm, *gripper], key=itemgetter(0))
 
 
-IIWA = "kuka_iiwa_14/iiwa14.xml"
-
-
-def lbr(folder: Path, storage: str, topic_names: Sequence[str]) -> Path:
+def lbr(
+    folder: Path, data: Recording, storage: str, topic_names: Sequence[str]
+) -> Path:
     """A bag of lbr_fri_ros2_stack: 100 Hz, joints lbr_A1 .. lbr_A7; LBRState has no names."""
-    data = motion_of(IIWA, rate=100.0)
     contents = {
         "/lbr/joint_states": (STATE, states(data, _numbered("lbr_A"))),
         "/lbr/state": (LBR, lbr_states(data)),
@@ -207,16 +209,12 @@ def lbr_states(types: Any, data: Recording):
         yield time, types[LBR](*modes, *stamp, *arrays, 1.0)
 
 
-GEN3 = "kinova_gen3/gen3.xml"
-
-
-def kortex(folder: Path, topic_names: Sequence[str]) -> Path:
+def kortex(folder: Path, data: Recording, topic_names: Sequence[str]) -> Path:
     """A ROS 1 bag of Kinova's driver with a gripper; angles of joint_states are within half a turn.
 
     The driver publishes 100 Hz at most by default, joint_1 .. joint_7 and the finger, whose effort
     is zero; base_feedback has no header and degrees from 0 to 360.
     """
-    data = motion_of(GEN3, rate=100.0)
     wrapped = replace(data, q=(data.q + np.pi) % (2.0 * np.pi) - np.pi)
     both = with_extra_joints(wrapped, 1, 0.4)
     contents = {
@@ -239,49 +237,12 @@ def kortex_feedback(types: Any, data: Recording):
         yield time, types[KORTEX](0, actuators)
 
 
-SIX_JOINTS = arms.serial_arm(
-    arms.SEVEN_AXES[:6], joint='range="-2.5 2.5" frictionloss=".2" damping=".1"'
-)
-"""An arm of six joints, which ``six_joint_model`` gives a maker's joint names."""
-OPENARM = MODELS / "openarm_v2" / "openarm_bimanual.xml"
-SO101 = MODELS / "so101" / "so101_new_calib.xml"
-
-
-def six_joint_model(folder: Path) -> Path:
-    """Write the arm of six joints as a model with joints joint1 .. joint6."""
-    text = SIX_JOINTS
-    for number in range(6, 0, -1):
-        text = text.replace(f'"joint{number - 1}"', f'"joint{number}"')
-    path = folder / "arm.xml"
-    path.write_text(text)
-    return path
-
-
-@cache
-def six_joint_motion(rate: float) -> Recording:
-    """Return 12 s of a motion of the arm of six joints."""
-    return truth_of(arms.robot_of(SIX_JOINTS), 3, rate=rate).log
-
-
-@cache
-def openarm_motion() -> Recording:
-    """Return 12 s of a motion of OpenArm's left arm."""
-    return truth_of(openarm(), 3, rate=100.0).log
-
-
-@cache
-def openarm() -> RobotModel:
-    """Return the left arm of OpenArm's model of two."""
-    return load_robot_model(OPENARM, joint="openarm_left_joint7")
-
-
-def piper(folder: Path) -> Path:
+def piper(folder: Path, data: Recording) -> Path:
     """A bag of Piper_ros: 200 Hz, the arm and its gripper twice, and what was commanded.
 
     Velocity has six entries, position and effort seven. Angles are thousandths of a degree times
     0.017444, efforts are N m. The node publishes commands as a JointState with zeros for effort.
     """
-    data = six_joint_motion(200.0)
     degrees = np.round(np.degrees(data.q), 3)
     both = with_extra_joints(replace(data, q=0.017444 * degrees), 1, 0.05)
     zero = np.zeros_like(both.q)
@@ -295,9 +256,9 @@ def piper(folder: Path) -> Path:
     return write_bag(folder / "piper", topics, "MCAP")
 
 
-def openarm_bag(folder: Path) -> Path:
+def openarm_bag(folder: Path, data: Recording) -> Path:
     """A bag of openarm_ros2: 100 Hz, both arms and fingers in one topic, the right arm at rest."""
-    data = with_extra_joints(openarm_motion(), 9, 0.02)
+    data = with_extra_joints(data, 9, 0.02)
     names = []
     for side in ("left", "right"):
         names += _numbered(f"openarm_{side}_joint")
@@ -323,9 +284,8 @@ def so101_data_set(folder: Path, version: str) -> Path:
     return write_data_set(folder / "so101_set", version, 30, features)
 
 
-def i2rt_arrays(folder: Path) -> Path:
+def i2rt_arrays(folder: Path, data: Recording) -> Path:
     """Observations of i2rt's MotorChainRobot, stacked in an .npz file beside their time."""
-    data = six_joint_motion(100.0)
     gripper = np.full((len(data), 1), 0.7)
     path = folder / "yam.npz"
     np.savez(
@@ -347,119 +307,105 @@ class DriverLog:
 
     Attributes:
         name: of the recording, for tests.
-        write: writes the recording into a folder and returns its path.
-        robot: returns the arm, of a folder that its model may be written to.
-        motion: returns what the recording holds.
+        model: path of the arm's public model; "" is the arm of six joints.
+        rate: at which identification takes the recording [Hz].
+        writer: writes a motion into a folder and returns the recording's path.
         accuracy: of the recorded positions [rad].
-        is_public: whether its model is one of the public ones.
     """
 
     name: str
-    write: Callable[..., Path]
-    robot: Callable[[Path], RobotModel]
-    motion: Callable[[], Recording]
+    model: str
+    rate: float
+    writer: Callable[..., Path]
     accuracy: float = 1e-6
-    is_public: bool = True
 
+    def robot(self, folder: Path) -> RobotModel:
+        """Return the arm, of a folder that its model may be written to."""
+        if self.model:
+            return model_of(self.model)
+        return load_robot_model(six_joint_model(folder))
 
-def _public_log(
-    name: str,
-    model: str,
-    rate: float,
-    write: Callable[..., Path],
-    accuracy: float = 1e-6,
-    **options: Any,
-) -> DriverLog:
-    """Return a recording of a public model's arm, at the rate that identification takes [Hz].
+    def motion(self, load: float = 0.0) -> Recording:
+        """Return what the recording holds, with a weight on the terminal link [kg]."""
+        return motion_of(self.model, self.rate, load)
 
-    ``options`` are those of ``write``.
-    """
-    motion = partial(motion_of, model, rate=rate)
-    write = partial(write, **options)
-    return DriverLog(name, write, lambda folder: model_of(model), motion, accuracy)
-
-
-def _six_joint_log(
-    name: str, rate: float, write: Callable[..., Path], accuracy: float = 1e-6
-) -> DriverLog:
-    """Return a recording of the arm of six joints, at a rate [Hz]."""
-    motion = partial(six_joint_motion, rate)
-    arm = (lambda folder: load_robot_model(six_joint_model(folder)), motion)
-    return DriverLog(name, write, *arm, accuracy, is_public=False)
+    def write(self, folder: Path, load: float = 0.0) -> Path:
+        """Write the recording into a folder and return its path."""
+        return self.writer(folder, self.motion(load))
 
 
 PANDA = "franka_panda/panda.xml"
 FR3 = "franka_fr3/FrankaFR3_7DoF.urdf"
+UR5E = "universal_robots_ur5e/ur5e.xml"
+XARM = "ufactory_xarm7/xarm7.xml"
+IIWA = "kuka_iiwa_14/iiwa14.xml"
+GEN3 = "kinova_gen3/gen3.xml"
 _ALL_FRANKA = ("/franka/joint_states", "/franka_gripper/joint_states", "/joint_states")
 _ALL_LBR = ("/lbr/joint_states", "/lbr/state")
-_FR3_BAG = partial(franka, arm="fr3", model=FR3, topic_names=_ALL_FRANKA)
-_PANDA_BAG = partial(franka, arm="panda", model=PANDA, topic_names=_ALL_FRANKA[2:])
+_FR3_BAG = partial(franka, arm="fr3", storage="MCAP", topic_names=_ALL_FRANKA)
+_PANDA_BAG = partial(franka, arm="panda", topic_names=_ALL_FRANKA[2:])
+_ALL_KORTEX = ("joint_states", "base_feedback")
+# enactic/openarm_ros2: openarm_bringup/config/v10_controllers
+OPENARM_LOG = DriverLog("OpenArm bag", str(OPENARM), 100.0, openarm_bag)
 
 DRIVER_LOGS = (
     # frankarobotics/franka_ros2: franka_bringup/launch/franka.launch.py
-    _public_log("panda bag", PANDA, 250.0, _PANDA_BAG, storage="MCAP"),
-    _public_log("panda ROS 1 bag", PANDA, 250.0, _PANDA_BAG, storage="ROS1"),
-    _public_log("fr3 all topics", FR3, 1000.0, _FR3_BAG, storage="MCAP"),
+    DriverLog("panda bag", PANDA, 250.0, partial(_PANDA_BAG, storage="MCAP")),
+    DriverLog("panda ROS 1 bag", PANDA, 250.0, partial(_PANDA_BAG, storage="ROS1")),
+    DriverLog("fr3 all topics", FR3, 1000.0, _FR3_BAG),
     # UniversalRobots/Universal_Robots_ROS2_Driver:
     # ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551
-    _public_log(
-        "UR torque as effort",
-        UR5E,
-        500.0,
-        universal_robots,
-        storage="MCAP",
-        is_current=False,
-    ),
+    DriverLog("UR torque as effort", UR5E, 500.0, universal_robots),
     # UniversalRobots/RTDE_Python_Client_Library: rtde/csv_writer.py
-    _public_log("UR RTDE torque", UR5E, 500.0, rtde, torque="actual_current_as_torque"),
+    DriverLog("UR RTDE torque", UR5E, 500.0, recorded.rtde),
     # xArm-Developer/xarm_ros2: xarm_api/src/xarm_driver.cpp
-    _public_log("xArm with gripper", XARM, 100.0, xarm, storage="SQLITE3"),
+    DriverLog("xArm with gripper", XARM, 100.0, xarm),
     # lbr-stack/lbr_fri_ros2_stack: lbr_description/ros2_control/lbr_controllers.yaml;
     # lbr-stack/lbr_fri_idl: msg/LBRState.msg
-    _public_log(
-        "LBR all topics", IIWA, 100.0, lbr, storage="MCAP", topic_names=_ALL_LBR
+    DriverLog(
+        "LBR all topics",
+        IIWA,
+        100.0,
+        partial(lbr, storage="MCAP", topic_names=_ALL_LBR),
     ),
-    _public_log(
-        "LBR state alone", IIWA, 100.0, lbr, storage="SQLITE3", topic_names=_ALL_LBR[1:]
+    DriverLog(
+        "LBR state alone",
+        IIWA,
+        100.0,
+        partial(lbr, storage="SQLITE3", topic_names=_ALL_LBR[1:]),
     ),
     # Kinovarobotics/ros_kortex:
     # kortex_driver/src/non-generated/driver/kortex_arm_driver.cpp
-    _public_log(
-        "kortex ROS 1",
-        GEN3,
-        100.0,
-        kortex,
-        topic_names=("joint_states", "base_feedback"),
-    ),
+    DriverLog("kortex ROS 1", GEN3, 100.0, partial(kortex, topic_names=_ALL_KORTEX)),
     # Kinova's own message has single precision.
-    _public_log(
+    DriverLog(
         "kortex base_feedback alone",
         GEN3,
         100.0,
-        kortex,
+        partial(kortex, topic_names=_ALL_KORTEX[1:]),
         6e-6,
-        topic_names=("base_feedback",),
     ),
     # agilexrobotics/Piper_ros: src/piper/piper/piper_ctrl_single_node.py;
     # 0.017444 is 0.05 % less than a degree.
-    _six_joint_log("Piper bag", 200.0, piper, 3e-3),
-    # enactic/openarm_ros2: openarm_bringup/config/v10_controllers
-    DriverLog("OpenArm bag", openarm_bag, lambda folder: openarm(), openarm_motion),
+    DriverLog("Piper bag", "", 200.0, piper, 3e-3),
+    OPENARM_LOG,
     # i2rt-robotics/i2rt: i2rt/robots/motor_chain_robot.py
-    _six_joint_log("i2rt arrays", 100.0, i2rt_arrays),
+    DriverLog("i2rt arrays", "", 100.0, i2rt_arrays),
 )
 """Recordings whose efforts are torques: they need no option. The public code that is named states
 names, order, rates and units."""
 UNWEIGHED_LOGS = (
-    _public_log(
+    DriverLog(
         "UR current as effort",
         UR5E,
         500.0,
-        universal_robots,
-        storage="MCAP",
-        is_current=True,
+        lambda folder, data: universal_robots(folder, in_amperes(data)),
     ),
-    _public_log("UR RTDE current", UR5E, 500.0, rtde, torque="actual_current"),
+    DriverLog(
+        "UR RTDE current",
+        UR5E,
+        500.0,
+        lambda folder, data: recorded.rtde(folder, in_amperes(data), "actual_current"),
+    ),
 )
-"""Recordings whose efforts are no torques. Their ``write`` takes ``load``, the mass of a weight on
-the terminal link [kg]."""
+"""Recordings whose efforts are no torques."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -293,9 +293,8 @@ def rtde(
 
 def plotjuggler(folder: Path, data: Recording) -> Path:
     """One column per series; rows of another topic leave the arm's cells empty."""
-    words = ("position", "velocity", "effort")
     titles = ["__time", "/battery/voltage"]
-    titles += [f"/joint_states/{joint}/{word}" for word in words for joint in JOINTS]
+    titles += [f"/joint_states/{j}/{word}" for word in INTERFACES for j in JOINTS]
     rows: list[list[object]] = []
     for time, *values in zip(data.time, data.q, data.qd, data.tau):
         rows.append([float(time), "", *np.concatenate(values).tolist()])
@@ -303,14 +302,17 @@ def plotjuggler(folder: Path, data: Recording) -> Path:
     return write(folder / "plot.csv", rows, titles)
 
 
+def _write_lines(path: Path, lines: Iterable[str]) -> Path:
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 def lists_in_cells(folder: Path, data: Recording) -> Path:
     """A list in quotes in each cell, beside a word, as SAGE and pandas write it."""
     rows = zip(data.time.tolist(), data.q.tolist(), data.qd.tolist(), data.tau.tolist())
     lines = ["type,timestamp,positions,velocities,torques"]
     lines += [f'STATE_MOTOR,{time},"{q}","{qd}","{tau}"' for time, q, qd, tau in rows]
-    path = folder / "state_motor.csv"
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    return _write_lines(folder / "state_motor.csv", lines)
 
 
 def nested_states(data: Recording) -> list[dict[str, Any]]:
@@ -323,18 +325,13 @@ def nested_states(data: Recording) -> list[dict[str, Any]]:
 
 
 def json_lines(folder: Path, data: Recording) -> Path:
-    path = folder / "log.jsonl"
-    lines = map(json.dumps, nested_states(data))
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    return _write_lines(folder / "log.jsonl", map(json.dumps, nested_states(data)))
 
 
 def json_states(folder: Path, data: Recording) -> Path:
     """An object with a list of states."""
     content = {"robot": "arm", "states": nested_states(data)}
-    path = folder / "states.json"
-    path.write_text(json.dumps(content, indent=1))
-    return path
+    return _write_lines(folder / "states.json", [json.dumps(content, indent=1)])
 
 
 def _other_order() -> list[int]:
@@ -346,21 +343,16 @@ def json_arrays(folder: Path, data: Recording) -> Path:
     """An object of arrays, joints in the order of their names' list."""
     order = _other_order()
     joints = {"joint_names": [JOINTS[k] for k in order]}
-    for name, values in (("q", data.q), ("qd", data.qd), ("tau", data.tau)):
-        joints[name] = values[:, order].tolist()
-    path = folder / "arrays.json"
-    path.write_text(json.dumps({"time": data.time.tolist(), "data": joints}))
-    return path
+    time, *quantities = arrays_of(data).items()
+    joints.update((name, values[:, order].tolist()) for name, values in quantities)
+    content = {time[0]: time[1].tolist(), "data": joints}
+    return _write_lines(folder / "arrays.json", [json.dumps(content)])
 
 
 def signal_rows(folder: Path, data: Recording) -> Path:
     """A row per signal and instant, one signal after the other."""
     rows: list[list[object]] = []
-    for name, values in (
-        ("position", data.q),
-        ("velocity", data.qd),
-        ("effort", data.tau),
-    ):
+    for name, values in zip(INTERFACES, (data.q, data.qd, data.tau)):
         for joint, column in zip(JOINTS, values.T.tolist()):
             signal = f"/joint_states/{joint}/{name}"
             rows += [[t, signal, v] for t, v in zip(data.time.tolist(), column)]
@@ -393,9 +385,9 @@ def echo(folder: Path, data: Recording, csv: bool = False) -> Path:
         for key, items in zip(("name", *INTERFACES), (names, *lists)):
             text += f"{key}:\n" + "".join(f"- {item}\n" for item in items)
         documents.append(f"{text}---")
-    path = folder / ("echo.csv" if csv else "echo.txt")
-    path.write_text("\n".join(lines if csv else documents) + "\n")
-    return path
+    if csv:
+        return _write_lines(folder / "echo.csv", lines)
+    return _write_lines(folder / "echo.txt", documents)
 
 
 def excel(folder: Path, data: Recording) -> Path:

@@ -13,9 +13,9 @@ import pytest
 from rigs.driver_logs import (
     DRIVER_LOGS,
     OPENARM,
+    OPENARM_LOG,
     SO101,
     UNWEIGHED_LOGS,
-    openarm_bag,
     so101_data_set,
 )
 from rigs.log_files import open_log
@@ -45,7 +45,7 @@ def marked(logs):
     """Return the recordings as parameters, slow but for those of the fast run."""
     parameters = []
     for log in logs:
-        marks = [NEEDS_MODELS] if log.is_public else []
+        marks = [NEEDS_MODELS] if log.model else []
         if log.name not in QUICK:
             marks.append(pytest.mark.slow)
         parameters.append(pytest.param(log, marks=marks, id=log.name))
@@ -106,7 +106,7 @@ def test_a_servo_arms_data_set_names_the_command_that_needs_no_torque(
 @NEEDS_MODELS
 def test_of_two_arms_each_ones_command_is_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    path = openarm_bag(tmp_path)
+    path = OPENARM_LOG.write(tmp_path)
     assert main(["identify", str(OPENARM), path.name]) == 2
     sides = [command[-1] for command in remedies(capsys.readouterr().err)]
     assert sides == ["openarm_left_joint7", "openarm_right_joint7"]

@@ -147,7 +147,7 @@ def test_public_arms_are_led_to_the_file_and_to_the_card(short_search, model, jo
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("log", DRIVER_LOGS, ids=lambda log: log.name)
 def test_a_drivers_recording_leads_to_the_file(short_search, log):
-    if log.is_public and not MODELS.is_dir():
+    if log.model and not MODELS.is_dir():
         pytest.skip("the public models are not here")
     robot = log.robot(Path())
     walk = walk_from_recording(log.write(Path()), robot.path, TrueArm(robot))
