@@ -20,8 +20,8 @@ from robot_sysid.damiao.joints import DamiaoJoint, Mounting, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand, Register
-from robot_sysid.damiao.references import file_holding
-from robot_sysid.damiao.safety.guards import Replies
+from robot_sysid.damiao.safety.holding import file_holding
+from robot_sysid.damiao.safety.plausibility import Replies
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import (

@@ -25,12 +25,8 @@ from robot_sysid.damiao.joints import (
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.protocol import BusTiming, CanFrame, Scaling, is_harmful
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
-from robot_sysid.damiao.references import (
-    Activity,
-    HoldingCheck,
-    file_holding,
-    trajectory_reference,
-)
+from robot_sysid.damiao.references import Activity, trajectory_reference
+from robot_sysid.damiao.safety.holding import HoldingCheck, file_holding, gravity_check
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     HoldOptions,
@@ -156,7 +152,7 @@ class MotorRun:
         pose = joint_values(options.pose or tuple(robot.reference), n, "--pose")
         positions = joint_positions(joints, inspection)
         pose = np.where(np.isfinite(positions), positions, pose)
-        torque = self._gravity(joints).torque(pose)
+        torque = gravity_check(robot, joints).torque(pose)
         time = np.array([0.0, options.lifetime])
         still = np.zeros((2, n))
         trajectory = DamiaoTrajectory(
@@ -239,16 +235,10 @@ class MotorRun:
         return checks
 
     def holding(self, plan: Plan) -> HoldingCheck:
-        """Return the check of holding torques against those of the model, or else of the file."""
+        """Return the torques that hold the arm by the model, or else by the file."""
         if self.robot is None:
             return file_holding(plan.trajectory)
-        return self._gravity(plan.trajectory.joints)
-
-    def _gravity(self, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
-        """Return the check of the torques that hold joints against those of the model."""
-        from robot_sysid.damiao.model_check import gravity_check
-
-        return gravity_check(self.robot, joints)
+        return gravity_check(self.robot, plan.trajectory.joints)
 
     @cached_property
     def robot(self) -> Any:
@@ -339,7 +329,7 @@ def run(
         inspection: answers of the motors on the link.
         stop: request for a stop, see ``Player``.
         on_phase: called with the name of each phase of the run.
-        holding: check of the torques that hold the arm.
+        holding: torques that hold the arm.
         activity: what the arm does; None plays the trajectory.
 
     Raises:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
+from robot_sysid.damiao.joints import peak_torques
 from robot_sysid.damiao.preflight import (
     CANNOT_FOLLOW,
     SMALLER,
@@ -22,8 +21,7 @@ from robot_sysid.damiao.preflight import (
     note,
     stop,
 )
-from robot_sysid.damiao.references import HoldingCheck, torque_doubt
-from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
+from robot_sysid.damiao.safety.holding import torque_doubt
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.limit_check import first_contact
@@ -104,27 +102,3 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
             f"{needed_rms[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file again for this arm, "
             f"or {weigh_first}"
         )
-
-
-def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
-    """Return a check that compares the torques that hold an arm with those of the model's gravity.
-
-    Args:
-        robot: model of the arm with n joints.
-        joints: joints of the arm with their motors, base to terminal.
-    """
-    arm = ArmDynamics(robot)
-    doubt = torque_doubt(joints) + robot.friction.largest_dry
-
-    def holding_torque(q: Array) -> Array:
-        """Return the torque (n,) that holds the arm at rest in a pose q (n,) [N m]."""
-        zero = np.zeros((1, len(q)))
-        return arm(Motion(np.zeros(1), q[None], zero, zero))[0]
-
-    return HoldingCheck(
-        joints,
-        holding_torque,
-        doubt,
-        source=f"the model {robot.path.name} needs",
-        watch=partial(MovedZeroCheck, robot, doubt),
-    )

@@ -28,15 +28,15 @@ from robot_sysid.damiao.references import (
     Activity,
     CarriedStop,
     Follower,
-    HoldingCheck,
     Lowering,
     Reference,
     ReferenceFunction,
     hold_reference,
     transfer_reference,
 )
-from robot_sysid.damiao.safety.guards import Replies
-from robot_sysid.damiao.safety.observer import Observer
+from robot_sysid.damiao.safety.holding import HoldingCheck
+from robot_sysid.damiao.safety.plausibility import Replies
+from robot_sysid.damiao.safety.watch import Watch
 from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, error_text, handle_stop_signals
@@ -123,8 +123,7 @@ class Player:
         stop: request for a stop, which is checked in every cycle.
         recorder: gets every cycle of the trajectory, but no transfers; None records nothing.
         on_phase: called with the name of each new phase; may not raise or wait.
-        holding: computes the torque that holds the arm, and compares it with the torques measured
-            while the arm stands, before the transfer and at the first point.
+        holding: computes the torque that holds the arm.
     """
 
     def __init__(
@@ -143,7 +142,7 @@ class Player:
         self._recorder = recorder
         self._announce = on_phase
         self._holding = holding
-        self._observer = Observer(
+        self._observer = Watch(
             session.joints, settings, session.steps, session.limits.torque, holding
         )
         self._timer: CycleTimer
@@ -162,8 +161,6 @@ class Player:
         # Time of the last answer in the clock [s].
         self._heard_at = 0.0
         self._n_recorded = 0
-        # Positions and commanded torques (2, n) of the cycles in which the joints stand still.
-        self._standing_states: list[Array] = []
 
     def play(self, activity: Activity) -> PlayReport:
         """Enable the motors, do what the activity says, rest, lower, and return a report.
@@ -186,7 +183,7 @@ class Player:
             self._timer.skipped,
             p50,
             p99,
-            self._observer.total_missed,
+            self._observer.health.total_missed,
             self._observer.worst_tracking,
         )
 
@@ -229,17 +226,9 @@ class Player:
             self._phase(self._lower_from(last), LONGEST_LOWERING)
 
     def _hold_and_compare(self, reference: Reference) -> None:
-        """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.
-
-        Means over the second half of this phase count.
-        HardwareAbort where the torques disagree.
-        """
-        self._standing_states.clear()
+        """Hold the arm still for ``rest_time``; HardwareAbort where its torques do not carry it."""
         self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
-        if self._standing_states:
-            second_half = self._standing_states[len(self._standing_states) // 2 :]
-            q, commanded_torque = np.mean(second_half, axis=0)
-            self._holding(q, commanded_torque)
+        self._observer.check_holding(self._session.believed_motion[0])
 
     def _lower_from(self, begin: Reference) -> Lowering:
         """Return the reference that lowers the arm from ``begin``.
@@ -302,7 +291,7 @@ class Player:
     def _exchange(
         self, reference: Reference, braking: bool = False
     ) -> tuple[Replies, MitCommand]:
-        """Command a reference, and pass the arm's state to observer and follower.
+        """Command a reference, and pass the arm's state to watch and follower.
 
         Returns the replies, and the command that was in force when they were sampled. Reference and
         command, the time of the replies, and the positions and torques of the arm are stored. The
@@ -329,7 +318,7 @@ class Player:
         # A motor that does not answer may still obey.
         driven = ~self._observer.failed
         replies = self._session.exchange(command, until, driven, braking)
-        self._observer.update(replies)
+        self._observer.health.update(replies)
         self._reference = reference
         self._command = replies.command
         q, qd = self._session.believed_motion
@@ -337,8 +326,6 @@ class Player:
         self._follower.follow(*self._trusted_motion, motor_torque)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
-        if self._standing and np.all(np.isfinite(q)):
-            self._standing_states.append(np.stack([q, motor_torque]))
         return replies, acted
 
     @property

@@ -21,7 +21,7 @@ from robot_sysid.damiao.joints import (
     limits_agree,
     peak_torques,
 )
-from robot_sysid.damiao.references import HoldingCheck
+from robot_sysid.damiao.safety.holding import HoldingCheck
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
 from robot_sysid.damiao.settings import Plan, joint_positions
 from robot_sysid.damiao.trajectory import ROUNDING, DamiaoTrajectory

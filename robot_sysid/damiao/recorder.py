@@ -41,7 +41,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao.protocol import MitCommand, register_text
-from robot_sysid.damiao.safety.guards import Replies
+from robot_sysid.damiao.safety.plausibility import Replies
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError

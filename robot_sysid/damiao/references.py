@@ -1,7 +1,4 @@
-"""Joint references as functions of time, also for a stop, and checks of the holding torques.
-
-A motor that turns opposite to its joint, or that drives another joint, moves an arm along another
-path than the checked one. Where gravity loads the joint, the torque that holds it shows this.
+"""Joint references as functions of time, also for a stop.
 
 A motor holds an arm by its feed-forward torque and by kp times the distance between the reference
 and the joint. A stop that sets the reference to the joint's position would remove the second
@@ -10,17 +7,15 @@ torque, and the joint of a weak motor would fall. So ``CarriedStop`` keeps this 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
-from robot_sysid.damiao.safety.guards import Mask
+from robot_sysid.damiao.safety.plausibility import Mask
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
-from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array, Limits
 
 
@@ -214,117 +209,6 @@ class Lowering(Follower):
     def is_done(self) -> bool:
         """Whether no joint has been lowered any further for half a second."""
         return self._time - self._moved_at > 0.5
-
-
-# Expected torque above which a joint's load is judged, in units of the torque doubt.
-#
-# With this value a guessed model may be twice too heavy.
-_LOADED = 2.0
-
-
-def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
-    """Return the torque (n,) that friction alone may explain: 0.06 of each joint's peak [N m]."""
-    # A judgement.
-    return 0.06 * peak_torques(joints)
-
-
-# Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad.
-_NEAR = 0.1
-
-
-@dataclass(frozen=True)
-class HoldingCheck:
-    """Compares the torques that hold an arm still with the expected ones.
-
-    Attributes:
-        joints: the n joints of the arm, base to terminal.
-        torque: returns the torque (n,) [N m] that should hold the arm in a pose (n,) [rad].
-        doubt: torque (n,) that friction alone may explain [N m].
-        source: begin of the phrase that states the expected torque: "the model arm.xml needs".
-        watch: returns a new check of the motion of one run, ``MovedZeroCheck``; None where there is
-            none.
-        pose: pose (n,) [rad] near which the torque is known; None where in every pose.
-        is_at_rest: whether the torque is that of an arm at rest.
-        carries_arm: whether the torque may carry an arm that has weight.
-    """
-
-    joints: Sequence[DamiaoJoint]
-    torque: Callable[[Array], Array]
-    doubt: Array
-    source: str
-    watch: Callable[[], Callable[..., tuple[int, str] | None]] | None = None
-    pose: Array | None = None
-    is_at_rest: bool = True
-    carries_arm: bool = True
-
-    @property
-    def is_model(self) -> bool:
-        """Whether a model of the arm gives the expected torque in every pose."""
-        return self.pose is None
-
-    def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
-        """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
-        is_bare = np.abs(self.torque(q)) <= _LOADED * self.doubt
-        return [
-            joint
-            for joint, bare in zip(self.joints, is_bare)
-            if bare and not joint.verified
-        ]
-
-    def __call__(self, q: Array, tau: Array) -> None:
-        """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
-
-        HardwareAbort where a joint has a torque opposite to the expected one, or far less of it,
-        and where one is loaded although the expected torque never carries an arm. A joint is only
-        judged where more torque is expected than friction may explain.
-        """
-        if self.pose is not None and np.any(np.abs(q - self.pose) > _NEAR):
-            return
-        if not self.carries_arm:
-            is_loaded = np.abs(tau) > _LOADED * self.doubt
-            for j in np.flatnonzero(is_loaded).tolist():
-                raise HardwareAbort(
-                    f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N·m, and the "
-                    "trajectory never feeds forward what carries an arm: its torque lacks gravity"
-                )
-        expected = self.torque(q)
-        size = np.abs(expected)
-        # Torque in the direction of the expected one.
-        along = np.sign(expected) * tau
-        is_wrong = (size > self.doubt) & (along < -self.doubt)
-        # Below half of the doubt a loaded joint counts as unloaded.
-        is_wrong |= (size > _LOADED * self.doubt) & (along < 0.5 * self.doubt)
-        for j in np.flatnonzero(is_wrong & self.is_at_rest).tolist():
-            raise HardwareAbort(
-                f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N·m but {self.source} "
-                f"{expected[j]:.1f} N·m in this pose: a motor turns the other way than its joint, "
-                "sits at another one, or has another zero; see 'motors map'"
-            )
-
-
-def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
-    """Return the check of an arm near a trajectory's first point, by the trajectory's own torque.
-
-    The expected torque is the feed-forward torque of the row with the least acceleration near the
-    first point. Where this row still accelerates, nothing is compared. A trajectory whose torque
-    never exceeds any joint's doubt cannot carry an arm that has weight.
-    """
-    q = trajectory.q
-    is_near = np.all(np.abs(q - q[0]) <= _NEAR, axis=1)
-    acceleration = np.max(np.abs(trajectory.qdd), axis=1)
-    row = np.argmin(np.where(is_near, acceleration, np.inf))
-    torque = trajectory.tau[row]
-    doubt = torque_doubt(trajectory.joints)
-    return HoldingCheck(
-        trajectory.joints,
-        lambda q: torque,
-        doubt,
-        source="the trajectory feeds forward",
-        pose=q[0],
-        # Slower, a torque is that at rest: 1 N m at 2 kg m^2.
-        is_at_rest=acceleration[row] < 0.5,
-        carries_arm=bool(np.any(np.abs(trajectory.tau) > doubt)),
-    )
 
 
 class CarriedStop(Follower):

@@ -33,7 +33,7 @@ from robot_sysid.damiao.protocol import (
     special_frame,
     status_text,
 )
-from robot_sysid.damiao.safety.guards import (
+from robot_sysid.damiao.safety.plausibility import (
     NO_STATUS,
     Mask,
     Replies,

@@ -1,1 +1,1 @@
-"""What keeps an arm safe: which samples are believed, how far commands may go, faults, stops."""
+"""What keeps an arm safe: which samples are believed, how far commands may go, what disagrees."""

@@ -1,13 +1,10 @@
-"""Plausibility of motors' answers, checks of their scaling, and bounds of commands.
+"""Plausibility of motors' answers, and bounds of commands.
 
 Serial adapters have no checksum between the bus and the computer, so one damaged character can make
 a position wrong by radians or a healthy motor look faulty. ``SampleFilter`` believes a sample that
 is plausible after the last believed one: the change of position agrees with the velocities, the
 velocity changed no faster than a motor can change it, and the reported torque changed as the
 command did. An implausible sample is not used, unless the next sample confirms it.
-
-Positions, velocities and torques are scaled by numbers stored in the motor. If one of these is
-wrong, every value is wrong by a constant factor, which ``ScaleCheck`` detects.
 
 Every command to a motor has to keep its joint's ``Limits`` (``confine``).
 """
@@ -180,123 +177,6 @@ class SampleFilter:
         # Windings warm up by a degree [deg C] in seconds.
         heats = np.abs(now.heat - previous.heat) > 5.0
         return jumps, bends, ~(jumps | accelerates | bends | heats)
-
-
-# Time over which velocity is integrated [s]: long against a cycle, short against a swing.
-_WINDOW = 0.2
-
-
-class ScaleCheck:
-    """Checks whether two signals of n joints that should be equal have one scale.
-
-    The uncertainty of a ratio is the rounding error divided by the rms of the first signal, plus
-    three standard errors.
-
-    Args:
-        rounding: (n,) largest constant error of a pair.
-        least: least number of pairs from which a ratio is judged.
-        tolerance: error of a ratio that is accepted besides.
-        explained: (n,) largest ratio above 1 that has another cause.
-    """
-
-    def __init__(
-        self, rounding: Array, least: int, tolerance: float, explained: Array
-    ) -> None:
-        self._rounding = rounding
-        self._least = least
-        self._tolerance = tolerance
-        self._explained = explained
-        # Number of pairs (x, y) and sums of xx, xy, yy, for each joint.
-        self._sums = np.zeros((4, len(rounding)))
-
-    def add(self, x: Array, y: Array, usable: Mask) -> None:
-        """Add a pair x, y (n,) of each joint that is ``usable`` (n,)."""
-        x, y = np.where(usable, [x, y], 0.0)
-        self._sums += np.stack([usable, x * x, x * y, y * y])
-
-    def worst(self) -> tuple[int, float] | None:
-        """Return index and ratio y / x of the joint that is farthest beyond its doubt, or None."""
-        count, xx, xy, yy = self._sums
-        number = np.maximum(count, 1.0)
-        size = np.sqrt(xx / number)
-        is_judged = (count >= self._least) & (size > 2.0 * self._rounding)
-        ratio = np.where(is_judged, xy / np.where(is_judged, xx, 1.0), 1.0)
-        scatter = np.sqrt(np.maximum(yy - ratio * xy, 0.0)) / number
-        doubt = (self._rounding + 3.0 * scatter) / np.where(is_judged, size, np.inf)
-        unexplained = ratio / np.clip(ratio, 1.0, self._explained)
-        excess = np.abs(unexplained - 1.0) - doubt
-        j = int(np.argmax(excess))
-        return (j, ratio[j]) if excess[j] > self._tolerance else None
-
-
-class VelocityCheck:
-    """Checks whether the velocities that n joints report integrate to their positions.
-
-    Over each window of time the change of position has to be the integral of the velocity, and over
-    a run both have one scale. A constant error of half a velocity step is allowed for.
-
-    Velocities are sampled at the end of each control cycle, when a joint of little inertia has
-    slowed down. A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd; in
-    steady motion its mean over a cycle T is (exp(kT) - 1) / (kT) times the last velocity. With
-    inertia the ratio is between 1 and this.
-
-    Args:
-        velocity_step: (n,) one quantisation step of velocity [rad/s].
-        fades: (n,) the product kT, above 0.
-
-    Attributes:
-        explained: (n,) largest possible ratio of a cycle's mean velocity to its last one.
-        scale: compares the changes of position with the integrals.
-    """
-
-    def __init__(self, velocity_step: Array, fades: Array) -> None:
-        n_joints = len(velocity_step)
-        self.explained: Array = np.expm1(fades) / fades
-        self._rounding = 0.5 * velocity_step * _WINDOW
-        # Judged from ten windows on. VMAX of two types differ by a tenth or more (45 and 50).
-        self.scale = ScaleCheck(self._rounding, 10, 0.03, self.explained)
-        # Time, position and velocity (3, n) of each joint's last sample.
-        self._last = np.full((3, n_joints), np.nan)
-        # Time and position (2, n) at which each joint's window begins.
-        self._begin = np.full((2, n_joints), np.nan)
-        # Integrals (2, n) of velocity and of its absolute value since then [rad].
-        self._integrals = np.zeros((2, n_joints))
-
-    def add(self, time: Array, q: Array, qd: Array) -> tuple[int, str] | None:
-        """Add one sample per joint; return a joint that slipped in a window that ends now, or None.
-
-        ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer. The
-        result has the joint's index, and what it does: a sentence that begins with its name.
-        """
-        is_fresh = np.isfinite(time) & np.isfinite(q)
-        now = np.where(is_fresh, [time, q, qd], self._last)
-        step = 0.5 * (now[2] + self._last[2]) * (now[0] - self._last[0])
-        self._integrals += np.nan_to_num([step, np.abs(step)])
-        self._last = now
-        self._begin = np.where(np.isnan(self._begin), now[:2], self._begin)
-        is_full = is_fresh & (now[0] - self._begin[0] >= _WINDOW)
-        integral, path = np.where(is_full, self._integrals, 0.0)
-        change = np.where(is_full, now[1] - self._begin[1], 0.0)
-        self.scale.add(integral, change, is_full)
-        self._integrals = np.where(is_full, 0.0, self._integrals)
-        self._begin = np.where(is_full, now[:2], self._begin)
-        # Sampling late in each cycle explains any change from the integral to ``fastest``.
-        fastest = integral * self.explained
-        mismatch = change - np.clip(
-            change, np.minimum(integral, fastest), np.maximum(integral, fastest)
-        )
-        # Accepted are 0.02 rad and a twentieth of the way. Where a joint slows down within a cycle,
-        # its mean speed is known less well, in the end not well enough to judge a slip. Twice the
-        # rounding is an error of one velocity step throughout the window.
-        doubt = 0.05 + 0.5 * (self.explained - 1.0)
-        tolerance = 0.02 + doubt * path + 2.0 * self._rounding
-        tolerance = np.where(self.explained > 1.3, np.inf, tolerance)
-        for j in np.flatnonzero(np.abs(mismatch) > tolerance)[:1]:
-            return j, (
-                f"moves {abs(mismatch[j]) / _WINDOW:.2f} rad/s beside the velocity that it "
-                "reports: its gear or its encoder slips, or one of the two has another sign"
-            )
-        return None
 
 
 def confine(

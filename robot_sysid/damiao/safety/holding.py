@@ -1,0 +1,140 @@
+"""The torque that carries an arm at rest, of its model or of its trajectory file.
+
+A motor that turns opposite to its joint, or that drives another joint, moves an arm along another
+path than the checked one. Where gravity loads the joint, the torque that holds it shows this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
+from robot_sysid.records import Array, Motion, RobotModel
+
+if TYPE_CHECKING:
+    from robot_sysid.damiao.safety.position_shift import PositionShift
+
+LOADED = 2.0
+"""Expected torque above which a joint's load is judged, in units of the torque doubt.
+
+With this value a guessed model may be twice too heavy.
+"""
+
+
+def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
+    """Return the torque (n,) that friction alone may explain: 0.06 of each joint's peak [N m]."""
+    # A judgement.
+    return 0.06 * peak_torques(joints)
+
+
+# Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad.
+_NEAR = 0.1
+
+
+@dataclass(frozen=True)
+class HoldingCheck:
+    """What torques hold an arm still.
+
+    Attributes:
+        joints: the n joints of the arm, base to terminal.
+        torque: returns the torque (n,) [N m] that should hold the arm in a pose (n,) [rad].
+        doubt: torque (n,) that friction alone may explain [N m].
+        pose: pose (n,) [rad] near which the torque is known; None where in every pose.
+        carries_arm: whether the torque may carry an arm that has weight.
+        robot: model of the arm; None without one.
+    """
+
+    joints: Sequence[DamiaoJoint]
+    torque: Callable[[Array], Array]
+    doubt: Array
+    pose: Array | None = None
+    carries_arm: bool = True
+    robot: RobotModel | None = None
+
+    @property
+    def is_model(self) -> bool:
+        """Whether a model of the arm gives the expected torque in every pose."""
+        return self.pose is None
+
+    def contradicts(self, q: Array, tau: Array) -> NDArray[np.bool_]:
+        """Return which joints (n,) torques tau (n,) [N m] cannot hold still at q (n,) [rad].
+
+        A joint is judged where more torque is expected than friction may explain, and where the
+        torques that are fed forward could never carry an arm.
+        """
+        if not self.carries_arm:
+            return np.abs(tau) > LOADED * self.doubt
+        if self.pose is not None and not np.all(np.abs(q - self.pose) <= _NEAR):
+            return np.zeros(len(q), bool)
+        expected = self.torque(q)
+        size = np.abs(expected) / self.doubt
+        # Below half of the doubt a loaded joint counts as unloaded.
+        least = np.where(size > LOADED, 0.5, -1.0) * self.doubt
+        return (size > 1.0) & (np.sign(expected) * tau < least)
+
+    def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
+        """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
+        is_bare = np.abs(self.torque(q)) <= LOADED * self.doubt
+        return [
+            joint
+            for joint, bare in zip(self.joints, is_bare)
+            if bare and not joint.verified
+        ]
+
+    def position_shift(self) -> PositionShift | None:
+        """Return a new search for shifted positions in a run's motion; None without a model."""
+        if self.robot is None:
+            return None
+        from robot_sysid.damiao.safety.position_shift import PositionShift
+
+        return PositionShift(self.robot, self.doubt)
+
+
+def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
+    """Return the torques that hold an arm by its model's gravity.
+
+    Args:
+        robot: model of the arm with n joints.
+        joints: joints of the arm with their motors, base to terminal.
+    """
+    from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+
+    arm = ArmDynamics(robot)
+
+    def holding_torque(q: Array) -> Array:
+        """Return the torque (n,) that holds the arm at rest in a pose q (n,) [N m]."""
+        zero = np.zeros((1, len(q)))
+        return arm(Motion(np.zeros(1), q[None], zero, zero))[0]
+
+    doubt = torque_doubt(joints) + robot.friction.largest_dry
+    return HoldingCheck(joints, holding_torque, doubt, robot=robot)
+
+
+def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
+    """Return the torques that hold an arm near a trajectory's first point, by the trajectory.
+
+    They are the feed-forward torque of the row with the least acceleration near the first point;
+    unknown where this row still accelerates. A trajectory whose torque never exceeds any joint's
+    doubt cannot carry an arm that has weight.
+    """
+    q = trajectory.q
+    is_near = np.all(np.abs(q - q[0]) <= _NEAR, axis=1)
+    acceleration = np.max(np.abs(trajectory.qdd), axis=1)
+    row = np.argmin(np.where(is_near, acceleration, np.inf))
+    torque = trajectory.tau[row]
+    doubt = torque_doubt(trajectory.joints)
+    # Slower, a torque is that at rest: 1 N m at 2 kg m^2.
+    is_at_rest = acceleration[row] < 0.5
+    return HoldingCheck(
+        trajectory.joints,
+        lambda q: torque,
+        doubt,
+        pose=q[0] if is_at_rest else np.full_like(q[0], np.nan),
+        carries_arm=bool(np.any(np.abs(trajectory.tau) > doubt)),
+    )

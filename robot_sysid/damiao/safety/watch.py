@@ -1,0 +1,331 @@
+"""The watch over a run: position, speed and torque of each joint against what is expected of them.
+
+Every joint's signals are averaged over 0.1 s, and these means over 1 s. A row of the watch compares
+two of them, and stops the run where they differ by more than the row's bound:
+
+=========  ============================================  =======================================
+position   reported                                      commanded, in each cycle
+speed      of the reported positions, over 0.1 s         commanded
+speed      of the reported positions, over 0.1 and 1 s   reported
+torque     reported, over 0.1 and 1 s                    commanded
+torque     reported, over 0.1 s                          fed forward
+torque     commanded, over 0.1 s                         needed in the last second
+torque     commanded, over 0.1 s                         what carries the arm
+=========  ============================================  =======================================
+
+Means of exponential windows are used: a large residual is found sooner than a small one, and one
+damaged frame is not enough. The torque needed in the last second is that fed forward plus what the
+joint's control added: a wrong model is no fault, a sudden change is one. A model of the arm shows
+positions that are wrong, by the torques of a motion, see ``PositionShift``.
+
+A message says which joint and which of the three disagree, with both numbers. It does not say why:
+the recording shows that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.protocol import MitCommand
+from robot_sysid.damiao.safety.health import BusHealth
+from robot_sysid.damiao.safety.holding import LOADED, HoldingCheck, torque_doubt
+from robot_sysid.damiao.safety.plausibility import Mask, Replies
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import Array
+
+# Times over which signals are averaged [s].
+_SHORT = 0.1
+_LONG = 1.0
+# Rows of the watch: which of the three disagrees, then its two numbers.
+_ROWS = (
+    "position: it is at {:.3f} rad, and commanded to {:.3f}",
+    "speed: it moves at {:.2f} rad/s, and is commanded {:.2f}",
+    "speed: its positions change by {:.2f} rad/s, and it reports {:.2f}",
+    "speed: in a second its positions change by {:.3f} rad/s, and it reports {:.3f}",
+    "torque: it reports {:.1f} N·m, and is commanded {:.1f}",
+    "torque: in a second it reports {:.2f} N·m, and is commanded {:.2f}",
+    "torque: it reports {:.1f} N·m, and the path feeds forward {:.1f}",
+    "torque: it needs {:.1f} N·m, and by the last second it would need {:.1f}",
+)
+_CARRIES = "torque: it carries the arm with {:.1f} N·m, and {:.1f} are expected"
+_REPEATS = (
+    "position: it reports {:.3f} rad again and again, and its command has gone on by "
+    "{:.3f}"
+)
+_SHIFTED = (
+    "position: it reports {:.2f} rad, and the torques of the motion are those of {:.2f}"
+)
+
+
+class Watch:
+    """Checks the replies of n joints in every cycle; HardwareAbort names the first fault.
+
+    Args:
+        joints: joints of the arm, base to terminal.
+        settings: settings of the run, with gains and torque limits for each of the n joints.
+        steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
+        peak_torque: (n,) peak torque of each joint [N m].
+        holding: computes the torque that carries the arm.
+
+    Attributes:
+        health: of the motors on the bus.
+        failed: (n,) whether the motor does not drive any more; the array of ``health``.
+        worst_tracking: (n,) largest distance from the commanded position so far [rad].
+        stuck: (n,) whether the joint is blocked, frozen or jumped: it must not be pushed on.
+        to_switch_off: (n,) whether the motor has to be disabled at once.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[DamiaoJoint],
+        settings: PlaySettings,
+        steps: tuple[Array, ...],
+        peak_torque: Array,
+        holding: HoldingCheck,
+    ) -> None:
+        n_joints = len(joints)
+        self._joints = joints
+        self._settings = settings
+        self._peak = peak_torque
+        self._position_step, self._velocity_step, self._torque_step = steps
+        self._doubt = torque_doubt(joints)
+        self._holding = holding
+        self._shift = holding.position_shift()
+        kp = np.maximum(settings.kp, 1e-9)
+        # The torque of a position error of 0.05 rad.
+        self._spring = 0.05 * kp
+        rated = np.array([joint.spec.rated_torque for joint in joints])
+        # How far a standing joint may sag: an arm half a radian from the first point, or with a new
+        # load, needs half of this.
+        self._sag = np.minimum(2.0 * rated / kp, settings.max_tracking_error)
+        # A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd, and is
+        # sampled when it has slowed down at the end of a cycle T: in steady motion its mean speed
+        # is (exp(kT) - 1) / (kT) times the sampled one; with inertia, between 1 and this.
+        fade = settings.period * kp / np.array(settings.kd)
+        self._slowed = np.expm1(fade) / fade
+        # Time, position and velocity (3, n) of each joint's last sample.
+        self._last = np.full((3, n_joints), np.nan)
+        # Means over 0.1 s (7, n) of: change of position, reported and commanded velocity; reported
+        # and commanded torque, fed torque, and the torque that the position control adds. Means
+        # over 1 s of these means, the first five as absolute values.
+        self._short, self._long = np.zeros((2, 7, n_joints))
+        # Answers in a row with the same position and velocity, and commanded position and torque
+        # (2, n) when they began.
+        self._repeats = np.zeros(n_joints, int)
+        self._repeats_since = np.zeros((2, n_joints))
+        self._stale, self.stuck, self.to_switch_off = np.zeros((3, n_joints), bool)
+        self.health = BusHealth(joints, settings)
+        self.failed = self.health.failed
+        self.worst_tracking = np.zeros(n_joints)
+
+    @property
+    def trusted_joints(self) -> Mask:
+        """Joints (n,) that answer, and whose position may be used to control them."""
+        return ~self._stale & (self.health.silent < self._settings.max_missed)
+
+    @property
+    def fed_torque(self) -> Array:
+        """Mean feed-forward torque of the last moments (n,) [N m]."""
+        return self._short[5]
+
+    def check(
+        self,
+        replies: Replies,
+        acted: MitCommand,
+        standing: bool = False,
+        rising: bool = False,
+        lowered: bool = False,
+    ) -> None:
+        """Raise HardwareAbort for the first fault in a cycle's replies.
+
+        Args:
+            replies: replies of all n joints; ``health`` is up to date with them.
+            acted: command in force when the replies were sampled, fields (n,), in joint space.
+            standing: whether the joints are to stand still.
+            rising: whether gains are being raised: an arm that takes up a new load then overshoots
+                with twice the torque, so that needed torques are not judged.
+            lowered: whether the arm is being lowered: it may come to lie on something, so that its
+                positions are not judged by its torques.
+        """
+        # Two samples confirm a jump.
+        self.stuck |= replies.jump != 0.0
+        self.health.check(replies)
+        feedback = replies.feedback
+        commanded = acted.motor_torque(feedback.position, feedback.velocity)
+        self._check_repeats(replies, acted, commanded)
+        self._average(replies, acted, commanded, rising)
+        self._check_rows(replies, acted, standing, rising)
+        if rising:
+            return
+        # Friction may carry a joint that moves, but not against its load.
+        fed = self.fed_torque
+        is_opposite = np.sign(fed) * self._carried < -0.5 * self._doubt
+        self._check_load(is_opposite & (np.abs(fed) > LOADED * self._doubt), fed)
+        if self._shift is not None and not lowered:
+            time = float(np.mean(replies.time))
+            shift = self._shift(time, feedback.position, feedback.velocity, commanded)
+            if shift is not None:
+                j, angle = shift
+                q = feedback.position[j]
+                self._raise(j, _SHIFTED.format(q, q + angle))
+
+    def _average(
+        self, replies: Replies, acted: MitCommand, commanded: Array, rising: bool
+    ) -> None:
+        """Bring the means up to date with the joints that answered.
+
+        ``acted`` is the command in force, ``commanded`` (n,) its torque [N m]. While gains are
+        ``rising``, the long means of torques follow the short ones.
+        """
+        feedback = replies.feedback
+        sample = np.array([replies.time, feedback.position, feedback.velocity])
+        passed, way, _ = sample - self._last
+        is_usable = replies.answered & (passed > 0.0)
+        passed = np.where(is_usable, passed, 1.0)
+        signals = np.array(
+            [
+                way / passed,
+                0.5 * (sample[2] + self._last[2]),
+                acted.velocity,
+                feedback.torque,
+                np.clip(commanded, -self._peak, self._peak),
+                acted.torque,
+                commanded - acted.torque,
+            ]
+        )
+        self._last = np.where(replies.answered, sample, self._last)
+        change = -np.expm1(-passed / _SHORT) * (signals - self._short)
+        self._short = np.where(is_usable, self._short + change, self._short)
+        means = np.vstack([np.abs(self._short[:5]), self._short[5:]])
+        share = -np.expm1(-passed / _LONG) * is_usable
+        self._long += share * (means - self._long)
+        if rising:
+            self._long[5:] = self._short[5:]
+
+    def _check_rows(
+        self, replies: Replies, acted: MitCommand, standing: bool, rising: bool
+    ) -> None:
+        """Raise HardwareAbort for the joint and row that are farthest beyond their bound.
+
+        The arguments are those of ``check``. A joint without an answer is not judged.
+        """
+        settings = self._settings
+        peak = self._peak
+        q = replies.feedback.position
+        way, speed, led, tau, commanded, fed, added = self._short
+        long_way, long_speed, _, long_tau, long_commanded, long_fed, long_added = (
+            self._long
+        )
+        tracking = np.full_like(q, settings.max_tracking_error)
+        if standing:
+            tracking = self.standing_limit(q, acted.position, acted.torque)
+        # A standing joint has no friction that reverses, so its bound is lower.
+        stands = np.abs(acted.velocity) <= self._velocity_step
+        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.25 * peak)
+        torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
+        # Measured, expected and bound of each of ``_ROWS``.
+        rows = [
+            (q, acted.position, tracking),
+            (way, led, settings.max_speed_error + 2.0 * self._velocity_step),
+            (
+                way,
+                self._slowed_speed(way, speed),
+                0.1 + 0.05 * np.abs(speed) + self._velocity_step,
+            ),
+            (
+                long_way,
+                self._slowed_speed(long_way, long_speed),
+                0.02 + 0.03 * long_speed + 0.5 * self._velocity_step,
+            ),
+            (tau, commanded, 0.15 * peak + 4.0 * self._torque_step),
+            (long_tau, long_commanded, 0.1 * long_commanded + torque_floor),
+            (tau, fed, settings.max_torque_error),
+            # A wrong model gets half of a change of the feed-forward torque wrong.
+            (fed + added, fed + long_added, load + 0.5 * np.abs(fed - long_fed)),
+        ]
+        measured, expected, bounds = map(np.array, zip(*rows))
+        if rising:
+            bounds[6:] = np.inf
+        residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
+        self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
+        excess = residuals / bounds
+        k, j = divmod(int(np.argmax(excess)), len(q))
+        if excess[k, j] <= 1.0:
+            return
+        # A joint that moves much less than commanded presses against something.
+        self.stuck |= (np.abs(way) < 0.3 * np.abs(led)) & ~stands
+        self._raise(j, _ROWS[k].format(measured[k, j], expected[k, j]))
+
+    def _slowed_speed(self, way: Array, speed: Array) -> Array:
+        """Return the mean speed (n,) [rad/s] nearest to ``way`` that a sampled ``speed`` allows."""
+        fastest = speed * self._slowed
+        return np.clip(way, np.minimum(speed, fastest), np.maximum(speed, fastest))
+
+    def _check_repeats(
+        self, replies: Replies, acted: MitCommand, commanded: Array
+    ) -> None:
+        """Stop for a joint whose position does not change at all while its command moves on.
+
+        ``acted`` is the command in force, ``commanded`` (n,) its torque [N m]. Where the reported
+        torque follows the command, the motor controls the frozen position: it cannot hold its
+        joint, and is disabled at once, so that its windings brake. Else its answers are stale.
+        """
+        feedback = replies.feedback
+        now = np.array([feedback.position, feedback.velocity])
+        is_same = replies.answered & np.all(now == self._last[1:], axis=0)
+        command = np.array([acted.position, commanded])
+        begins = replies.answered & ~is_same
+        self._repeats_since = np.where(begins, command, self._repeats_since)
+        self._repeats = np.where(begins, 0, self._repeats + is_same)
+        led_by, turned_by = np.abs(command - self._repeats_since)
+        is_led = (led_by > 20.0 * self._position_step) & (self._repeats >= 3)
+        follows = np.abs(commanded - feedback.torque) < 0.075 * self._peak
+        # Twice the doubt overcomes dry friction.
+        is_frozen = is_led & follows & (turned_by > 2.0 * self._doubt)
+        self._stale |= is_led & ~follows
+        self.stuck |= is_frozen
+        self.to_switch_off |= is_frozen
+        for j in np.flatnonzero(is_frozen | (is_led & ~follows)).tolist():
+            self._raise(j, _REPEATS.format(feedback.position[j], led_by[j]))
+
+    def check_holding(self, q: Array) -> None:
+        """Raise HardwareAbort for a joint that does not hold the arm still at q (n,) [rad]."""
+        is_wrong = self._holding.contradicts(q, self._carried)
+        self._check_load(is_wrong, self._holding.torque(q), "; see 'motors map'")
+
+    def _check_load(self, is_wrong: Mask, expected: Array, hint: str = "") -> None:
+        """Raise HardwareAbort for the first joint in ``is_wrong`` (n,), beside what is expected."""
+        for j in np.flatnonzero(is_wrong).tolist():
+            self._raise(j, _CARRIES.format(self._carried[j], expected[j]) + hint)
+
+    @property
+    def _carried(self) -> Array:
+        """Torque (n,) that carries the arm: the mean of the commanded one [N m]."""
+        return self._short[5] + self._short[6]
+
+    def standing_limit(self, q: Array, reference_q: Array, fed: Array) -> Array:
+        """Return how far each joint (n,) may be from the position where it should stand still.
+
+        Args:
+            q: believed positions (n,) [rad].
+            reference_q: positions (n,) at which the joints should stand [rad].
+            fed: feed-forward torque (n,) [N m].
+        """
+        # No load pulls in the direction of the feed-forward torque.
+        return np.where(self.is_pushed(q, reference_q, fed), 0.5, 1.0) * self._sag
+
+    def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
+        """Return whether each joint (n,) has moved in the direction of its feed-forward torque.
+
+        The arguments are those of ``standing_limit``; a torque that friction may explain pushes
+        nothing.
+        """
+        return ((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt)
+
+    def _raise(self, joint: int, description: str) -> None:
+        """Raise HardwareAbort for a joint; ``description`` begins with what disagrees."""
+        raise HardwareAbort(f"{self._joints[joint].label} disagrees in {description}")

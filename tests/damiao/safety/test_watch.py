@@ -1,0 +1,262 @@
+"""What stops a run: faults on the bus, and position, speed or torque that disagree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rigs.damiao_rig import mit_command, state, undoubted
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.protocol import BusTiming
+from robot_sysid.damiao.safety.holding import HoldingCheck, torque_doubt
+from robot_sysid.damiao.safety.plausibility import NO_STATUS
+from robot_sysid.damiao.safety.watch import Watch
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.errors import HardwareAbort
+
+JOINTS = damiao_joints(["DM4340"] * 2, 2)
+STEPS = np.full(2, 4e-4), np.array([0.02, 0.02]), np.full(2, 0.0137)
+PEAK = np.full(2, 27.0)
+KP = 180.0
+KD = 4.5
+CYCLE = 0.004
+HOLDING = HoldingCheck(JOINTS, lambda q: 8.0 * np.cos(q), torque_doubt(JOINTS))
+
+
+def watch(**settings):
+    """A watch over two joints."""
+    settings = PlaySettings(**{"max_torque_error": (25.0,), **settings})
+    complete = settings.for_motors([j.spec for j in JOINTS], BusTiming())
+    return Watch(JOINTS, complete, STEPS, PEAK, HOLDING)
+
+
+def words_of(cycles, flags=(), **settings):
+    """What a watch says to cycles of replies and commands, or None."""
+    watched = watch(**settings)
+    try:
+        for replies, command in cycles:
+            watched.health.update(replies)
+            watched.check(replies, command, *flags)
+    except HardwareAbort as stopped:
+        return str(stopped)
+    return None
+
+
+def stand(cycles, q=0.0, p=0.0, answered=True, **feedback):
+    """Yield cycles of joints that stand, the second with these values; its command holds it."""
+    for k in range(cycles):
+        command = mit_command([0.0, p], 0.0, KP, KD, [0.0, 0.0])
+        seen = np.array([True, answered])
+        signals = {"torque": [0.0, KP * (p - q)], **feedback}
+        status = [1, 1 if answered else NO_STATUS]
+        now = state(np.where(seen, [0.0, q], np.nan), **{"status": status, **signals})
+        yield (
+            undoubted(seen, np.where(seen, k * CYCLE, np.nan), now, np.ones(2, bool)),
+            command,
+        )
+
+
+# --- the bus --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"mos": [30, 81]}, "motor 2 is at 81 deg C, limit 80"),
+        ({"rotor": [30, 81]}, "motor 2 is at 81 deg C, limit 80"),
+        ({"status": [1, 0]}, "motor 2 reports status 0"),
+    ],
+)
+def test_a_fault_that_a_motor_reports_is_named(values, words):
+    assert words_of(stand(1, mos=[80, 80], rotor=[80, 80])) is None
+    assert words in words_of(stand(1, **values))
+
+
+@pytest.mark.parametrize(("requested", "cycles"), [(True, 3), (False, 6)])
+def test_a_motor_may_be_silent_for_so_long_and_no_longer(requested, cycles):
+    """Three commands without an answer, or six cycles where it was not commanded."""
+
+    def silent(count):
+        for replies, command in stand(count, answered=False):
+            yield replace(replies, requested=np.array([True, requested])), command
+
+    gaps = [*silent(cycles - 1)]
+    assert words_of(gaps) is None
+    assert words_of([*gaps, *stand(1), *gaps]) is None
+    words = words_of(silent(cycles))
+    assert f"motor 2 did not answer in time for {cycles} cycles" in words
+
+
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        ({"surplus": [0, 1]}, "a second motor has its id"),
+        ({"foreign": [0, 1]}, "gets commands of another program"),
+    ],
+)
+def test_frames_too_many_are_named_unless_there_are_few(counts, words):
+    cycles = [
+        (replace(replies, **{k: np.array(v) for k, v in counts.items()}), command)
+        for replies, command in stand(4)
+    ]
+    assert words_of(cycles[:2]) is None
+    assert words in words_of(cycles)
+
+
+# --- position, speed and torque -------------------------------------------------------------------
+
+
+def swing(
+    seconds=3.0,
+    off=lambda t: 0.0,
+    velocity=1.0,
+    torque=1.0,
+    fed=lambda p: 8.0 * np.cos(p),
+    frozen_after=np.inf,
+    misses=0.0,
+    since=0.0,
+):
+    """Yield cycles of joints that swing, the second with what is wrong with it.
+
+    Its position is off by an angle ``off(t)`` [rad], what it reports has other scales ``velocity``
+    and ``torque`` from a moment [s] on, or stays the same; a share of its answers is missing.
+    """
+    random = np.random.default_rng(0)
+    q, qd = 0.3, 0.0
+    for k in range(round(seconds / CYCLE)):
+        time = k * CYCLE
+        p = 0.3 * np.cos(2.0 * time)
+        v = -0.6 * np.sin(2.0 * time)
+        command = mit_command([0.0, p], [0.0, v], KP, KD, [8.0, fed(p)])
+        if time < frozen_after:
+            q = p + off(time)
+            qd = v + (off(time + 1e-6) - off(time)) / 1e-6
+        commanded = command.motor_torque(np.array([0.0, q]), np.array([0.0, qd]))[1]
+        is_wrong = time >= since
+        answered = np.array([True, random.random() >= misses])
+        signals = np.where(
+            answered,
+            [
+                [0.0, round(q / 4e-4) * 4e-4],
+                [0.0, qd * (velocity if is_wrong else 1.0)],
+                [8.0, commanded * (torque if is_wrong else 1.0)],
+            ],
+            np.nan,
+        )
+        now = state(*signals, status=np.where(answered, 1, NO_STATUS))
+        yield (
+            undoubted(answered, np.where(answered, time, np.nan), now, answered),
+            command,
+        )
+
+
+def test_an_arm_that_does_as_it_should_is_left_alone():
+    assert words_of(swing(seconds=6.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"velocity": -1.0}, "speed: its positions change by"),
+        ({"velocity": 0.8}, "speed: in a second its positions change by"),
+        ({"velocity": 1.2}, "speed: in a second its positions change by"),
+        ({"torque": -1.0}, "torque: it reports"),
+        ({"torque": 0.5}, "torque: in a second it reports"),
+        ({"torque": 0.8}, "torque: in a second it reports"),
+        ({"torque": 1.25}, "torque: in a second it reports"),
+        ({"off": lambda t: 0.3 * min(t, 0.6)}, "speed: its positions change by"),
+        ({"off": lambda t: -0.09 * np.clip(t - 1.0, 0.0, 1.0)}, "torque: it needs"),
+        ({"frozen_after": 0.5}, "position: it reports"),
+    ],
+)
+@pytest.mark.parametrize("misses", [0.0, 0.2])
+def test_a_signal_that_is_wrong_stops_the_joint_with_its_name(wrong, words, misses):
+    """Also where every fifth answer is missing."""
+    if wrong.get("off") and words.startswith("speed"):
+        cycles = slipping()
+    else:
+        cycles = swing(misses=misses, **wrong)
+    message = words_of(cycles, max_missed=50)
+    assert message is not None and message.startswith("motor 2 disagrees in " + words)
+
+
+def slipping():
+    """Yield cycles of a joint whose positions change 0.3 rad/s faster than it reports."""
+    for k, (replies, command) in enumerate(swing()):
+        q = replies.feedback.position + np.array([0.0, 0.3 * k * CYCLE])
+        p = command.position + np.array([0.0, 0.3 * k * CYCLE])
+        feedback = replace(replies.feedback, position=q)
+        yield replace(replies, feedback=feedback), command._replace(position=p)
+
+
+@pytest.mark.parametrize(
+    "right",
+    [
+        {"velocity": 0.98},
+        {"velocity": 1.02},
+        {"torque": 0.9},
+        {"torque": 1.1},
+        {"off": lambda t: 0.03 * np.sin(2.0 * t)},
+        {"off": lambda t: 0.03 * np.clip(t - 1.0, 0.0, 1.0)},
+        {"misses": 0.2},
+    ],
+)
+def test_below_its_bound_a_signal_stops_nothing(right):
+    assert words_of(swing(seconds=6.0, **right), max_missed=50) is None
+
+
+def test_a_single_wrong_sample_stops_nothing():
+    """One frame may be damaged where no filter notices it."""
+    cycles = [*swing()]
+    for values in ({"velocity": [0.0, 1.0]}, {"torque": [8.0, 0.0]}):
+        replies, command = cycles[300]
+        feedback = replace(
+            replies.feedback, **{k: np.array(v) for k, v in values.items()}
+        )
+        damaged = [*cycles[:300], (replace(replies, feedback=feedback), command)]
+        assert words_of([*damaged, *cycles[301:]]) is None
+
+
+def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
+    """So it is where the cables of two arms were exchanged in a symmetric pose."""
+
+    def load(p):
+        return 18.0 * np.sin(p)
+
+    cycles = swing(off=lambda t: 2.0 * load(0.3 * np.cos(2.0 * t)) / KP, fed=load)
+    words = words_of(cycles)
+    assert words.startswith("motor 2 disagrees in torque: it carries the arm with")
+
+
+def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
+    """It swings about where it will settle; a rated 9 N m sink it by 0.05 rad, two stop it."""
+    flags = {"flags": (True, True), "kp": (KP,)}
+    assert words_of(stand(50, q=-0.09), **flags) is None
+    words = words_of(stand(50, q=-0.11), **flags)
+    assert words == (
+        "motor 2 disagrees in position: it is at -0.110 rad, and commanded to 0.000"
+    )
+
+
+def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_scale():
+    """Light joints follow v = v_des + k (p_des - p), and are sampled at the end of each cycle."""
+    watched = watch(rate=50.0)
+    kp = np.array(watched._settings.kp)
+    kd = np.array(watched._settings.kd)
+    cycle = 0.02
+    fade = cycle * kp[0] / kd[0]
+    q = target = np.zeros(2)
+    for k in range(200):
+        speed = np.full(2, 1.0 + 0.5 * np.sin(0.3 * k * cycle))
+        target = target + speed * cycle
+        ahead = speed / (kp[0] / kd[0])
+        # By the exponential of the equation.
+        away = (q - target - ahead) * np.exp(-fade)
+        q = target + ahead + away
+        qd = -away * kp[0] / kd[0]
+        command = mit_command(target, speed, kp, kd)
+        now = state(q, qd, command.motor_torque(q, qd))
+        both = np.ones(2, bool)
+        watched.check(undoubted(both, np.full(2, k * cycle), now, both), command)
