@@ -13,14 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.damiao.joints import peak_torques
-from robot_sysid.damiao.preflight import (
-    CANNOT_FOLLOW,
-    SMALLER,
-    StatedLimits,
-    limit_checks,
-    note,
-    stop,
-)
+from robot_sysid.damiao.preflight import SMALLER, StatedLimits, limit_checks, note, stop
 from robot_sysid.damiao.safety.holding import torque_doubt
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
@@ -83,7 +76,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     most = StatedLimits(
         Limits(torque=peak_torques(joints)),
         "what its motor can do",
-        f"the motion needs it by the model, {CANNOT_FOLLOW}; {weigh_first}",
+        f"the motion needs it by the model, it cannot follow; {weigh_first}",
     )
     yield from limit_checks(replace(trajectory, tau=needed), speed, [most])
     # The torque in the file is that of the file's own speed.
@@ -99,6 +92,6 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
         yield stop(
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "
             f"or arm: it is off by {error[j]:.1f} N·m where {robot.path.name} needs "
-            f"{needed_rms[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file again for this arm, "
+            f"{needed_rms[j]:.1f} (rms), and it cannot follow; export the file again for this arm, "
             f"or {weigh_first}"
         )

@@ -36,8 +36,6 @@ stop = partial(Remark, Level.REFUSES, "")
 """Return a finding, by its text with the remedy, that forbids to play."""
 SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
 """Remedy for a trajectory that leaves an arm's limits, or touches something."""
-CANNOT_FOLLOW = "it cannot follow"
-"""What a motor does with a motion that needs more than it can do."""
 
 
 def stops(checks: Sequence[Remark]) -> list[str]:
@@ -75,12 +73,11 @@ def motor_ratings(joints: Sequence[DamiaoJoint]) -> tuple[StatedLimits, StatedLi
     no_load = RPM * np.array([joint.spec.no_load_rpm or np.inf for joint in joints])
     most = Limits(velocity=no_load, torque=peak_torques(joints))
     rated = Limits(torque=np.array([joint.spec.rated_torque for joint in joints]))
-    owner = "what its motor can do"
-    smaller = f"{CANNOT_FOLLOW}: plan a smaller or slower motion"
+    smaller = "it cannot follow: plan a smaller or slower motion"
     heat = "it gets too hot if that lasts"
     return (
-        StatedLimits(most, owner, smaller),
-        StatedLimits(rated, f"{owner} for long", heat, Level.SAYS),
+        StatedLimits(most, "what its motor can do", smaller),
+        StatedLimits(rated, "what its motor can do for long", heat, Level.SAYS),
     )
 
 
