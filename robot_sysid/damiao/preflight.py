@@ -195,10 +195,8 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
     # Time from the commands to the last answer [s].
     round_trip = inspection.round_trip
     if round_trip > REPLY_SHARE * settings.period:
-        full_rate = protocol.PLANNING_LIMIT / protocol.bus_load(
-            len(joints), 1.0, plan.timing
-        )
-        rate = protocol.handy_rate(min(REPLY_SHARE / round_trip, full_rate))
+        fitting = protocol.default_rate(len(joints), plan.timing)
+        rate = min(protocol.handy_rate(REPLY_SHARE / round_trip), fitting)
         yield stop(
             f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "
             f"{settings.rate:g} Hz: commands and samples would be mixed up; use "
