@@ -154,6 +154,8 @@ def test_a_ripple_that_no_motor_follows_is_refused(arm):
     assert re.search(
         "N·m is beyond what its motor can do, 27, at .* cannot follow", first
     )
+    slow = refusals(arm, (time, q, qd, tau), speed=0.1)
+    assert not any("its motor can do" in text for text in slow)
 
 
 # --- contact ------------------------------------------------------------------------------------
