@@ -83,22 +83,18 @@ def test_a_motor_that_another_program_has_enabled_is_refused(rig, gripper):
 
 
 @pytest.mark.slow
-def test_an_arm_is_lowered_until_nothing_pulls(standing_rig):
-    run = standing_rig.run(settle=1.0)
-    run.assert_played()
-    assert np.max(np.abs(run.arm.mechanism.q)) < 0.1
-    begin, _ = run.span("lowering")
-    speeds = [np.max(np.abs(qd)) for time, _, qd in run.arm.truth if time >= begin]
-    assert np.max(speeds) < 0.4
-
-
-@pytest.mark.slow
-def test_an_arm_that_is_stopped_is_lowered_too(standing_rig):
+@pytest.mark.parametrize("cause", [None, "stopped by SIGTERM"])
+def test_an_arm_is_lowered_until_nothing_pulls(standing_rig, cause):
+    """At its end, and where it is stopped."""
     run = standing_rig
-    run.during("playing", 0.3, lambda r: r.stop("stopped by SIGTERM"))
-    run.run(settle=0.0)
-    assert str(run.error) == "stopped by SIGTERM"
-    assert np.max(np.abs(run.arm.mechanism.q)) < 0.1 and run.states() == [DISABLED] * 2
+    if cause:
+        run.during("playing", 0.3, lambda r: r.stop(cause))
+    run.run(settle=1.0)
+    assert str(run.error) == str(cause) and run.states() == [DISABLED] * 2
+    assert np.max(np.abs(run.arm.mechanism.q)) < 0.1
+    begin, _ = run.span("stopping" if cause else "lowering")
+    speeds = [np.max(np.abs(qd)) for time, _, qd in run.arm.truth if time > begin + 0.2]
+    assert np.max(speeds) < 0.4
 
 
 @pytest.mark.slow

@@ -83,20 +83,14 @@ def replies_of(q, qd, time, command=None, torque=0.0):
     return undoubted(answered, time, state(q, qd, torque, 0), answered, command)
 
 
-def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
+def test_rows_are_in_the_file_before_the_error_that_ends_the_run(tmp_path):
     path = tmp_path / "measured.csv"
-    recorder = recorder_for(path)
     replies = replies_of(*np.ones((3, 1)), torque=1.0)
-    recorder.write(0.0, 0.0, replies, mit_command(torque=1.0))
-    recording = read_recording(path)
-    assert len(recording.columns["time"]) == 1 and recording.ending == "cut short"
-    assert list(recording.columns)[-1] == "j0_temp_rotor"
-    recorder.__exit__(None, None, None)
-
-
-def test_an_error_is_written_at_the_end(tmp_path):
-    path = tmp_path / "measured.csv"
-    with pytest.raises(RuntimeError), recorder_for(path):
+    with pytest.raises(RuntimeError), recorder_for(path) as recorder:
+        recorder.write(0.0, 0.0, replies, mit_command(torque=1.0))
+        recording = read_recording(path)
+        assert len(recording.columns["time"]) == 1 and recording.ending == "cut short"
+        assert list(recording.columns)[-1] == "j0_temp_rotor"
         raise RuntimeError("two\nlines")
     assert read_recording(path).ending == "stopped: two lines"
 
