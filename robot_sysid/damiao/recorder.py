@@ -94,7 +94,7 @@ class Aside:
 
     def _work(self) -> None:
         """Run the actions in the queue until None comes."""
-        while (action := self._waiting.get()) is not None:
+        for action in iter(self._waiting.get, None):
             self._do(action)
 
     def _do(self, action: Action) -> None:

@@ -166,7 +166,7 @@ class SimulatedMotor:
     def _pack(self, *measured: float) -> bytes:
         """Return the data of feedback with position [rad], velocity [rad/s], torque [N m]."""
         temperatures = self.temperature_mos, self.temperature_rotor
-        fields = np.array([[self.status, self.can_id, *measured, *temperatures]])
+        fields = np.array([[self.status, self.can_id & 0xF, *measured, *temperatures]])
         return encode_feedback(fields, self._scaling).tobytes()
 
     @property
