@@ -187,7 +187,9 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     try:
         table = np.loadtxt(lines, delimiter=",", skiprows=title_number, ndmin=2)
     except ValueError as error:
-        raise InputError(f"{path}, below line {title_number}: {error}") from None
+        # Behind the semicolon is advice for programmers.
+        reason = str(error).partition(";")[0]
+        raise InputError(f"{path}, below line {title_number}: {reason}") from None
     if table.shape[1] != len(titles) or not np.all(np.isfinite(table)):
         raise InputError(
             f"{path}, below line {title_number}: expected {len(titles)} finite numbers per line"
