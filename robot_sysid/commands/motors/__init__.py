@@ -14,7 +14,7 @@ from robot_sysid.commands.motors.mapping import MapOptions, map_joints
 from robot_sysid.commands.motors.session import (
     PlayChoices,
     Session,
-    found,
+    findings,
     play_step,
     run_checked,
     steps_after_play,
@@ -52,7 +52,7 @@ def check(session: Session) -> int:
     if session.address.channel:
         with session.open_guarded() as link:
             inspection = inspect_bus(link)
-    faults = len(stops(found(session, plan, inspection)))
+    faults = len(stops(findings(session, plan, inspection)))
     if faults:
         session.verdict = (f"Not usable: {faults} to change before playing",)
         return 1

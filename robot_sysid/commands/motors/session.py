@@ -149,22 +149,22 @@ def motor_table(
     return aligned_lines(rows)
 
 
-def found(
+def findings(
     session: Session, plan: Plan, inspection: Inspection | None, is_real: bool = True
 ) -> list[Remark]:
-    """Return all findings on a plan, and print them, below a table of the inspected motors.
+    """Return all remarks on a plan, and print them, below a table of the inspected motors.
 
     Without an inspection only the plan is judged. ``is_real`` is whether its motors are real ones.
     """
-    findings = session.checks(plan)
+    remarks = session.checks(plan)
     if inspection is not None:
-        findings += session.inspection_checks(plan, inspection, is_real)
+        remarks += session.inspection_checks(plan, inspection, is_real)
         motors = inspection.motors.values()
         session.console.stage(*motor_table(motors, plan.trajectory.joints))
-    for finding in findings:
-        mark = "STOP" if finding.level is Level.REFUSES else "note"
-        session.console.stage(f"[{mark}] {finding.text}")
-    return findings
+    for remark in remarks:
+        mark = "STOP" if remark.level is Level.REFUSES else "note"
+        session.console.stage(f"[{mark}] {remark.text}")
+    return remarks
 
 
 def run_lines(report: PlayReport) -> Iterator[str]:
@@ -204,7 +204,7 @@ def run_checked(
         InputError: the user does not confirm, or the recording cannot be written.
     """
     console = session.console
-    require_playable(found(session, plan, inspection, is_real))
+    require_playable(findings(session, plan, inspection, is_real))
     if is_real and not record_from(PlayChoices, session.values).yes:
         require_consent()
         # The arm may have moved or been touched in the meantime.

@@ -69,7 +69,7 @@ class MonitorOptions(OptionRecord):
     interval: float = option(1.0, "time between two looks", "S [s] > 0", flag="--every")
 
 
-def listed_motors(session: Session, link: GuardedLink) -> Mapping[int, InspectedMotor]:
+def list_motors(session: Session, link: GuardedLink) -> Mapping[int, InspectedMotor]:
     """Return the motors on a bus by CAN ids, and print them; SysidError where none answers."""
     motors = inspect_bus(link).motors
     if not motors:
@@ -81,7 +81,7 @@ def listed_motors(session: Session, link: GuardedLink) -> Mapping[int, Inspected
 def setup(session: Session) -> int:
     """List the motors on a bus, change one of them if the options say so; return the exit code 0.
 
-    Errors are those of ``change_motor``, ``listed_motors`` and ``_motor_to_change``, and InputError
+    Errors are those of ``change_motor``, ``list_motors`` and ``_motor_to_change``, and InputError
     for a change without --motor.
     """
     options = record_from(SetupOptions, session.values)
@@ -89,7 +89,7 @@ def setup(session: Session) -> int:
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     with session.open_guarded(is_motion) as link:
-        motors = listed_motors(session, link)
+        motors = list_motors(session, link)
         done = f"motors that answer: {len(motors)}"
         if changes:
             motor = _motor_to_change(motors, options)
@@ -207,7 +207,7 @@ def monitor(session: Session) -> int:
     options = record_from(MonitorOptions, session.values)
     with session.open_guarded(is_motion) as link:
         client = RegisterClient(link)
-        motors = listed_motors(session, link).values()
+        motors = list_motors(session, link).values()
         last = link.clock.now() + (options.lifetime or np.inf) - options.interval
         with contextlib.suppress(KeyboardInterrupt):
             while link.clock.now() < last:
