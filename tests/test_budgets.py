@@ -17,7 +17,7 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3457,
-    "robot_sysid/commands": 10810,
+    "robot_sysid/commands": 10845,
     "robot_sysid/damiao": 30207,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3715,
     "robot_sysid": 11078,
-    "tests": 230110,
+    "tests": 230285,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

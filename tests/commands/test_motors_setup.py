@@ -7,6 +7,7 @@ import shlex
 
 import pytest
 
+from rigs import arms
 from rigs.command_line import fail, succeed
 from rigs.damiao_rig import only_asks
 from robot_sysid.damiao.joints import read_joint_map
@@ -182,6 +183,26 @@ def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, model):
     waiting += [both] * 3
     err = fail(capsys, 3, MAP, model, "--output", output)
     assert "cannot be told which motor drives joint0" in err
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("answer", ["yes", "opposite"])
+def test_a_joint_that_cannot_have_gone_as_was_said_is_not_mapped(
+    capsys, bus, person, turned, tmp_path, arm_file, answer
+):
+    """The second joint stands at the upper end of its range, which is the model's own pose."""
+    model = arms.serial_arm((arms.Z, arms.Y), joint='range="-1 .001"')
+    waiting, _ = person
+    output = tmp_path / "map.csv"
+    waiting += [turned(0, -0.5, "opposite"), turned(1, -0.5, answer)]
+    waiting.append(lambda: bus.arm.mechanism.q.fill(0.0))
+    words = MAP, arm_file(model), "--output", output
+    if answer == "opposite":
+        succeed(capsys, *words)
+        assert [row.direction for row in read_joint_map(output)] == [1, 1]
+        return
+    err = fail(capsys, 3, *words)
+    assert "joint joint1 would have been moved to 0.50 rad" in err
     assert not output.exists()
 
 

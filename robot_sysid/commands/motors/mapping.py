@@ -7,7 +7,7 @@ that the model has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,8 +36,8 @@ class MapOptions(OptionRecord):
     output: Path = option(Path("joint_map.csv"), "where to write the map", "FILE")
 
 
-def movement_texts(robot: RobotModel) -> list[str]:
-    """Return for each of n joints a sentence on what a person sees when that joint alone turns.
+def movement_texts(robot: RobotModel) -> Iterator[str]:
+    """Yield for each of n joints a sentence on what a person sees when that joint alone turns.
 
     The joint turns in its positive direction from the model's reference. The sentence has the main
     direction in which the tip of the arm moves, or, where the tip hardly moves, the direction from
@@ -50,7 +50,6 @@ def movement_texts(robot: RobotModel) -> list[str]:
     joints = model.dof_jntid[robot.dof_index].tolist()
     reference = robot.reference_qpos
     start = data_at_pose(model, reference)
-    texts = []
     # Row j of the matrix turns joint j alone, by 0.3 rad.
     for joint, turn in zip(joints, 0.3 * np.eye(model.nq)[robot.qpos_index]):
         turned = data_at_pose(model, reference + turn)
@@ -61,8 +60,7 @@ def movement_texts(robot: RobotModel) -> list[str]:
             vector = start.xaxis[joint]
             text = "it turns counter-clockwise seen from"
         axis = np.argmax(np.abs(vector))
-        texts.append(f"{text} {_DIRECTIONS[axis][int(vector[axis] > 0.0)]}")
-    return texts
+        yield f"{text} {_DIRECTIONS[axis][int(vector[axis] > 0.0)]}"
 
 
 def map_joints(session: Session) -> int:
@@ -77,8 +75,7 @@ def map_joints(session: Session) -> int:
         raise InputError(f"{options.output} exists; choose another --output")
     require_writable(options.output.parent)
     with session.open_guarded(protocol.is_motion) as link:
-        rows = map_by_hand(link, robot)
-    write_joint_map(options.output, rows)
+        write_joint_map(options.output, map_by_hand(link, robot))
     sentence = "Next, check the motors with it"
     changes = {"trajectory": DAMIAO_NAME, "joint_map": options.output}
     step = session.step_to("check", sentence, **changes)
@@ -86,10 +83,10 @@ def map_joints(session: Session) -> int:
     return 0
 
 
-def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
-    """Return the joint map that a person shows by moving one joint after the other.
+def map_by_hand(link: GuardedLink, robot: RobotModel) -> Iterator[DamiaoJoint]:
+    """Yield the rows of the joint map that a person shows by moving one joint after the other.
 
-    It has one row per joint of the robot, base to terminal, without motor types.
+    There is one per joint of the robot, base to terminal, without motor types.
 
     Args:
         link: link of the motors' bus.
@@ -97,8 +94,8 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
 
     Raises:
         InputError: there are fewer motors than joints, or standard input has ended.
-        HardwareAbort: a motor is enabled or does not answer, or in three attempts no single motor
-            turned clearly.
+        HardwareAbort: a motor is enabled or does not answer, in three attempts no single motor
+            turned clearly, or a joint was moved to where its range does not reach.
     """
     client = RegisterClient(link)
     motors = inspect_bus(link).motors
@@ -125,27 +122,30 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
             positions[can_id] = state.position[0]
         return positions
 
-    directions: dict[int, int] = {}
-    for name, movement in zip(robot.joint_names, movement_texts(robot)):
-        remaining = motors.keys() - directions
-        can_id, direction = _find_motor(name, movement, remaining, read_positions)
-        directions[can_id] = direction
-    pose = list(zip(robot.joint_names, robot.reference))
-    pose_text = ", ".join(f"{name} {q:.3f}" for name, q in pose)
+    # CAN id, direction and last position of each joint's motor.
+    found: list[tuple[int, int, float]] = []
+    names = robot.joint_names
+    for name, movement in zip(names, movement_texts(robot)):
+        remaining = motors.keys() - {can_id for can_id, *_ in found}
+        found.append(_find_motor(name, movement, remaining, read_positions))
+    pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(names, robot.reference))
     ask(
-        f"put the arm into the model's own pose ({pose_text} rad or m) and hold it there; then "
-        "press Enter: "
+        f"put the arm into the model's own pose ({pose} rad or m) and hold it there; then press "
+        "Enter: "
     )
     positions = read_positions()
-    rows = []
-    # ``directions`` has the motors' CAN ids in the order of the joints.
-    for (name, q), (can_id, direction) in zip(pose, directions.items()):
-        offset = round(positions[can_id] - direction * q, 4)
+    for j, (can_id, direction, end) in enumerate(found):
+        offset = round(positions[can_id] - direction * robot.reference[j], 4)
+        reached = direction * (end - offset)
+        # A pose is made by hand to some tenth of a radian; each joint was moved by more.
+        if abs(reached - robot.limits.center[j]) > robot.limits.span[j] + 0.2:
+            raise HardwareAbort(
+                f"joint {names[j]} would have been moved to {reached:.2f} rad, which is not in its "
+                "range: it went the other way than was said, or the pose is another; nothing was "
+                "written, begin again"
+            )
         master_id = motors[can_id].master_id
-        rows.append(
-            DamiaoJoint("", can_id, master_id, name, direction, offset, BY_HAND)
-        )
-    return rows
+        yield DamiaoJoint("", can_id, master_id, names[j], direction, offset, BY_HAND)
 
 
 def _find_motor(
@@ -153,8 +153,8 @@ def _find_motor(
     movement: str,
     can_ids: Collection[int],
     read_positions: Callable[[], Positions],
-) -> tuple[int, int]:
-    """Have a person move a joint; return the CAN id of the motor that turned, and its direction.
+) -> tuple[int, int, float]:
+    """Have a person move a joint; return the motor that turned: its CAN id, direction, position.
 
     The direction is 1 where the motor's position grows with the joint's, else -1. The person says
     which way the joint went: at an end of its range it goes one way only.
@@ -185,7 +185,8 @@ def _find_motor(
         if size <= max([0.15, *(3.0 * dragged for dragged, _ in others)]):
             complaint = "no motor, or several, turned clearly; "
         elif answer in senses:
-            return can_id, senses[answer] * (1 if turns[can_id] > 0.0 else -1)
+            direction = senses[answer] * (1 if turns[can_id] > 0.0 else -1)
+            return can_id, direction, end[can_id]
         else:
             complaint = "it was not said which way it moved; "
     raise HardwareAbort(
