@@ -122,10 +122,13 @@ def run_command(
 _BUS = {"bus": options_of_all(BusAddress, BusTiming)}
 _ARM = options_of_all(ModelOptions, ArmFiles)
 # Options of commands that take a trajectory, by heading in the help.
-_CHECKED = {"arm": _ARM, **_BUS, "motion and limits": options_of_all(PlaySettings)}
+_CHECKED = {
+    "arm": _ARM,
+    **_BUS,
+    "motion and limits": options_of_all(PlaySettings),
+    "limits": LIMIT_OPTIONS,
+}
 _RECORDED = {**_CHECKED, "recording": options_of_all(RecordingOptions)}
-# By default only the model limits the motion.
-_LIMITS = {"limits": LIMIT_OPTIONS}
 _ASKING = {"asking": options_of_all(PlayChoices)}
 # Model of a simulated arm that is not as its user's model says.
 _PLANT = {"simulated arm": options_of_all(SimulatedArmOptions, only=("plant_model",))}
@@ -169,7 +172,7 @@ _PLAYED = (
         "damiao_trajectory.csv --model arm.xml --record measured.csv",
         "Play a trajectory on the arm of a model with simulated Damiao motors, in simulated time "
         "and without a bus, with all checks of play.",
-        {**_RECORDED, **_LIMITS, **_PLANT},
+        {**_RECORDED, **_PLANT},
         main=_MAIN,
         required=("model",),
     ),
@@ -180,7 +183,7 @@ _PLAYED = (
         "Ask every id from 1 to 15, print what the motors say, and tell what has to change before "
         "a trajectory can be played; without --channel only what the file itself needs. Enables no "
         "motor and writes nothing.",
-        {**_CHECKED, **_LIMITS},
+        _CHECKED,
         main=_MAIN,
     ),
     _command(
@@ -190,7 +193,7 @@ _PLAYED = (
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
-        {**_RECORDED, **_ASKING, **_LIMITS},
+        {**_RECORDED, **_ASKING},
         main=_MAIN,
     ),
     _command(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -15,7 +15,7 @@ from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, inspect_bus
 from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, matching_types
-from robot_sysid.damiao.player import PlayReport, StopRequest
+from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import require_playable
 from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_text
 from robot_sysid.damiao.references import Activity
@@ -49,16 +49,6 @@ _WARNING = (
     "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
     "sinks when it is disabled. Type yes: "
 )
-
-
-def require_consent() -> None:
-    """Ask a person whether the arm may move; InputError where nobody agrees, or can be asked."""
-    if not sys.stdin.isatty():
-        raise InputError(
-            "nobody can confirm: standard input is no terminal; give --yes"
-        )
-    if ask(_WARNING) != "yes":
-        raise InputError("not confirmed; nothing was moved")
 
 
 @dataclass(frozen=True)
@@ -128,8 +118,9 @@ def motor_table(
         type_name = " or ".join(types) or "unknown"
         joint = joint_by_id.get(motor.can_id)
         if joint is not None:
-            is_right = joint.spec.name in types
-            type_name = joint.motor_type if is_right else f"not {joint.motor_type}!"
+            type_name = joint.motor_type
+            if joint.spec.name not in types:
+                type_name = f"not {type_name}!"
         state = [*"????", "does not tell"]
         if motor.feedback is not None:
             # Position, velocity and torque are between them.
@@ -167,18 +158,6 @@ def findings(
     return remarks
 
 
-def run_lines(report: PlayReport) -> Iterator[str]:
-    """Yield a summary of a finished run: cycles, lateness, tracking errors, lost answers."""
-    yield (
-        f"played {report.cycles} cycles, {report.skipped} skipped; started late by "
-        f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)"
-    )
-    tracking = ", ".join(f"{error:.3f}" for error in report.worst_tracking)
-    yield f"largest distance from the path per joint [rad]: {tracking}"
-    if np.any(report.missed):
-        yield f"unanswered commands per joint: {', '.join(map(str, report.missed))}"
-
-
 def run_checked(
     session: Session,
     link: GuardedLink,
@@ -206,7 +185,12 @@ def run_checked(
     console = session.console
     require_playable(findings(session, plan, inspection, is_real))
     if is_real and not record_from(PlayChoices, session.values).yes:
-        require_consent()
+        if not sys.stdin.isatty():
+            raise InputError(
+                "nobody can confirm: standard input is no terminal; give --yes"
+            )
+        if ask(_WARNING) != "yes":
+            raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
         require_playable(session.inspection_checks(plan, inspection))
@@ -214,7 +198,15 @@ def run_checked(
     report = run(
         link, plan, inspection, StopRequest(), console.stage, holding, activity
     )
-    console.stage(*run_lines(report))
+    tracking = ", ".join(f"{error:.3f}" for error in report.worst_tracking)
+    console.stage(
+        f"played {report.cycles} cycles, {report.skipped} skipped; started late by "
+        f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)",
+        f"largest distance from the path per joint [rad]: {tracking}",
+    )
+    if np.any(report.missed):
+        missed = ", ".join(map(str, report.missed))
+        console.stage(f"unanswered commands per joint: {missed}")
 
 
 def play_step(session: Session, plan: Plan) -> NextStep:

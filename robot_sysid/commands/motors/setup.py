@@ -145,12 +145,10 @@ def change_motor(
         if is_fault(status):
             raise HardwareAbort(f"{motor.name} still reports {status_text(status)}")
         yield f"{motor.name}: {text} is now {status_text(status)}"
-    ticks = None
-    if options.watchdog is not None:
-        ticks = round(options.watchdog / TIMEOUT_UNIT)
+    watchdog = options.watchdog
     values = {
         Register.CTRL_MODE: MIT_MODE if options.mit else None,
-        Register.TIMEOUT: ticks,
+        Register.TIMEOUT: watchdog and round(watchdog / TIMEOUT_UNIT),
         Register.MST_ID: options.new_master_id,
         Register.ESC_ID: options.new_id,
     }
@@ -160,7 +158,7 @@ def change_motor(
         require_disabled()
         client.write(ids[Register.ESC_ID], register, value)
         if register in ids:
-            ids[register] = value
+            ids[register] = int(value)
         old = register_text(register, motor.registers.get(register, np.nan))
         yield f"{motor.name}: {old} is now {register_text(register, value)}"
     if options.store:
