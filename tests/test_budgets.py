@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 24800,
+    "robot_sysid/logs": 24792,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8673,
     "robot_sysid/motion": 14874,

@@ -8,7 +8,6 @@ one line; where two columns could be one quantity, an error lists both.
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -47,14 +46,12 @@ class ColumnFinder:
         table: the log.
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
-        only: the one key of them that is heeded, where the others are of another file; "" for all.
     """
 
     table: LogTable
     robot: RobotModel
     choices: ColumnChoices
-    only: str = ""
-    _pattern_notes: list[str] = field(default_factory=list)
+    _pattern_notes: dict[str, None] = field(default_factory=dict)
 
     @cached_property
     def titles(self) -> Sequence[Title]:
@@ -74,37 +71,31 @@ class ColumnFinder:
         """Return the titles that name a quantity beside other words."""
         return [t.text for t in self.titles if t.quantity_beside_name == quantity]
 
-    @cached_property
-    def _declared(self) -> Mapping[str, Mapping[str, _Source | None]]:
-        """Quantity to joint name to the column that is declared; None for one that has none."""
+    def _declared(self, quantity: str) -> Mapping[str, _Source | None]:
+        """Return joint name to the column that is declared for a quantity; None for one that has
+        none.
+        """
         joint_names = self.robot.joint_names
-        declared: dict[str, dict[str, _Source | None]] = defaultdict(dict)
-        for name, value in self.choices.entries.items():
-            key, _, joint = name.partition(".")
-            if key not in JOINT_COLUMNS or self.only not in ("", key):
-                continue
-            # Currents are declared as torques.
-            quantity = "current" if (key, self.driven) == ("torque", "current") else key
-            sources = declared[quantity]
+        # Currents are declared as torques.
+        key = "torque" if quantity == "current" else quantity
+        declared: dict[str, _Source | None] = {}
+        for joint, value in self.choices.of(key).items():
             # Of single joints, only the torque may be missing.
             if value == "none" and (not joint or key in ("torque", self.driven)):
-                sources.update(dict.fromkeys([joint] if joint else joint_names))
+                declared.update(dict.fromkeys([joint] if joint else joint_names))
             elif joint:
-                sources[joint] = self._look_up(value)
+                declared[joint] = self._look_up(value)
             else:
-                sources.update(zip(joint_names, self._look_up_all(value)))
+                declared.update(zip(joint_names, self._look_up_all(value)))
         return declared
 
     @cached_property
     def _zeros(self) -> Array:
         """What the column of each joint's position reads at zero, (n,)."""
         zeros = np.zeros(self.robot.n_joints)
-        for name, value in self.choices.entries.items():
-            key, _, joint = name.partition(".")
+        for joint, value in self.choices.of("zero").items():
             at = [self.robot.joint_names.index(joint)] if joint else slice(None)
-            if key == "zero":
-                numbers = parse_numbers(value)
-                zeros[at] = joint_values(numbers, len(zeros[at]), key)
+            zeros[at] = joint_values(parse_numbers(value), len(zeros[at]), "zero")
         return zeros
 
     @property
@@ -115,8 +106,8 @@ class ColumnFinder:
     @cached_property
     def _matched(self) -> tuple[Candidates, str]:
         """The candidate columns of quantities, and a note on the joints' names."""
-        declared = self._declared.get("position", ())
-        has_names = len(declared) < self.robot.n_joints
+        declared = self.choices.of("position")
+        has_names = "" not in declared and len(declared) < self.robot.n_joints
         return match_joints(
             self.titles, self.robot, self.table.first_row, self._quantities, has_names
         )
@@ -137,6 +128,11 @@ class ColumnFinder:
             UnrecognisedError: a quantity is missing, or has two candidates.
             InputError: it contradicts the declared units, or what is declared is not there.
         """
+        # What is not needed has to be there, too.
+        for name in self.choices.entries:
+            key = name.partition(".")[0]
+            if key in JOINT_COLUMNS:
+                self._declared(key)
         _, joint_note = self._matched
         notes = [joint_note, *self._pattern_notes]
         found: dict[str, tuple[Column, ...]] = {}
@@ -144,7 +140,7 @@ class ColumnFinder:
             try:
                 found[quantity] = self._find_joints(quantity)
             except InputError as error:
-                if quantity in ("position", self.driven, *self._declared):
+                if quantity in ("position", self.driven) or self.choices.of(quantity):
                     raise
                 found[quantity] = ()
                 notes.append(f"{quantity} is not used, and not needed: {error}")
@@ -182,7 +178,7 @@ class ColumnFinder:
     def _find_joints(self, quantity: str) -> tuple[Column, ...]:
         """Return one column per joint, or () where an optional quantity lacks a joint's."""
         names = self.robot.joint_names
-        declared = self._declared.get(quantity, {})
+        declared = self._declared(quantity)
         if [*declared.values()] == [None] * len(names):
             return ()
         candidates, _ = self._matched
@@ -305,7 +301,7 @@ class ColumnFinder:
         title, factor = split_factor(text, texts)
         fits, note = fit_pattern(title, texts, joint_names)
         if fits:
-            self._pattern_notes.append(note)
+            self._pattern_notes[note] = None
             return [(column, factor) for column in fits]
         titles = [each.strip() for each in text.split(",")]
         ends = _RANGE.fullmatch(title)

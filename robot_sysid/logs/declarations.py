@@ -75,6 +75,11 @@ class ColumnChoices:
     currents: bool = False
     commanded: bool = False
 
+    def of(self, key: str) -> Mapping[str, str]:
+        """Return joint to what is declared of it for a key; the joint "" stands for all."""
+        names = [name.partition(".") for name in self.entries]
+        return {j: self.entries[k + dot + j] for k, dot, j in names if k == key}
+
     def over(self, fallback: ColumnChoices) -> ColumnChoices:
         """Return these choices, with those of the fallback where these are undeclared."""
         stated = {name: value for name, value in vars(self).items() if value}

@@ -69,16 +69,15 @@ def _find(table: LogTable, robot: RobotModel, choices: ColumnChoices) -> _Half:
     """Return which columns of a table are positions, torques and time."""
     stated = replace(choices.over(table.choices), currents=False)
     finder = ColumnFinder(table, robot, stated)
-    declared = {key.partition(".")[0] for key in choices.entries}
 
     def indices(key: str, *others: str) -> list[int]:
         """Return the columns of a quantity, as it is declared, or else as titles name it or one of
         others; none where joints lack theirs.
         """
-        if key in declared:
+        if choices.of(key):
             # What is declared of the other file is not in this one, and a joint without torque has
             # no column.
-            columns = replace(finder, only=key).recognise(key)
+            columns = finder.recognise(key)
             return [column.index for column in columns if column.factor]
         quantities = [title.quantity_beside_name for title in finder.titles]
         found = [k for k, q in enumerate(quantities) if q in (key, *others)]
