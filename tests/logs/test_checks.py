@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -51,122 +52,115 @@ def separate_joints(rows):
 TIME = np.s_[:, 0]
 Q = np.s_[:, 1:4]
 # Each fault changes the table and is an error that says the fragments.
-ERRORS: dict[str, tuple[Callable, list[str]]] = {
+ERRORS: dict[str, tuple[Callable, str]] = {
     "text cells": (
         spoiled(lambda row: [*row[:2], "oops", *row[3:]]),
-        ["5 of 400 rows", "line 11, column 'q2': 'oops' is not a number", "1 %"],
+        "5 of 400 rows.*1 %.*line 11, column 'q2': 'oops' is not a number",
     ),
     "short rows": (
         spoiled(lambda row: row[:5]),
-        ["5 of 400 rows", "line 11: 5 cells instead of 7"],
+        "5 of 400 rows.*line 11: 5 cells instead of 7",
     ),
     "absurd cells": (
         changing((list(RUBBISH), 4), lambda tau: np.full(len(tau), 1e30)),
-        ["5 of 400 rows", "first: line 11)"],
+        r"5 of 400 rows.*first: line 11\)",
     ),
     "backwards": (
         changing(([20, 21], 0), lambda time: time[::-1].copy()),
-        ["log.csv: ", "backwards in time", "first: line 23)"],
+        r"log.csv: .*backwards in time.*first: line 23\)",
     ),
     "many holes": (
         changing(np.s_[::10, 2], lambda q: np.nan * q),
-        ["40 of 400 rows", "5 %", "line 2"],
+        "40 of 400 rows.*5 %.*line 2",
     ),
     "coarse time": (
         changing(TIME, lambda time: np.floor(time * 50) / 50),
-        ["repeat the time stamp", "more digits"],
+        "repeat the time stamp.*more digits",
     ),
     "milliseconds": (
         changing(TIME, lambda t: 1e3 * t),
-        ["time steps of 5 s", "--units ms, us or ns"],
+        "time steps of 5 s.*--units ms, us or ns",
     ),
-    "tiny time": (changing(TIME, lambda t: 1e-3 * t), ["5e-06 s", "60 * TITLE"]),
+    "tiny time": (changing(TIME, lambda t: 1e-3 * t), r"5e-06 s.*60 \* TITLE"),
     "stamps of arrival": (
         changing((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
-        ["of when rows were written (joint base would reach", "'rate = 200'"],
+        r"of when rows were written \(joint base would reach.*'rate = 200'",
     ),
     "whole seconds": (
         changing(TIME, np.floor),
-        ["398 of 400 rows repeat the time stamp", "'rate = HZ' in --columns"],
+        "398 of 400 rows repeat the time stamp.*'rate = HZ' in --columns",
     ),
     "minutes": (
         changing(TIME, lambda t: t / 60.0),
-        ["joint base would reach 0.9 rad and 169.6 rad/s", "another unit"],
+        "another unit.*joint base would reach 0.9 rad and 169.6 rad/s",
     ),
     "no effort": (
         changing(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
-        ["columns tau1, tau3", "--columns FILE"],
+        "columns tau1, tau3.*--columns FILE",
     ),
     "separate joints": (
         separate_joints,
-        ["first: line 2, columns q1, tau1", "record all joints"],
+        "first: line 2, columns q1, tau1.*record all joints",
     ),
-    "degrees": (changing(Q, np.degrees), ["look like degrees", "--units deg"]),
-    "at rest": (changing(Q, lambda q: 0.3 + 1e-3 * q), ["at rest", "no joint moves"]),
+    "degrees": (changing(Q, np.degrees), "look like degrees.*--units deg"),
+    "at rest": (changing(Q, lambda q: 0.3 + 1e-3 * q), "at rest.*no joint moves"),
     "spike": (
         changing((33, 3), lambda q: q + 2.0),
-        ["joint wrist", "jumps at line 35 and 1 more"],
+        "joint wrist.*jumps at line 35 and 1 more",
     ),
-    "too few": (lambda rows: rows[:5], ["only 5 usable rows"]),
+    "too few": (lambda rows: rows[:5], "only 5 usable rows"),
 }
 
 
 @pytest.mark.parametrize("name", ERRORS)
 def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
-    fault, fragments = ERRORS[name]
-    with refused() as caught:
+    fault, words = ERRORS[name]
+    with refused(words) as caught:
         read_table(tmp_path, fault(table(motion())))
-    message = str(caught.value)
-    assert all(text in message for text in fragments), message
     of_angles = ("degrees", "minutes", "stamps of arrival")
-    assert ("degrees" in message) == (name in of_angles)
+    assert ("degrees" in str(caught.value)) == (name in of_angles)
 
 
 @pytest.mark.parametrize("name", ["stamps of arrival", "whole seconds"])
 def test_the_remedy_for_a_clock_is_one(tmp_path, name):
-    columns = tmp_path / "columns.txt"
-    columns.write_text("rate = 200")
-    log = read_table(tmp_path, ERRORS[name][0](table(motion())), columns=columns)
+    log = read_table(tmp_path, ERRORS[name][0](table(motion())), columns="rate = 200")
     np.testing.assert_allclose(log.time, motion().time, atol=1e-12)
 
 
 # Each of these is a note, none an error.
-NOTES: dict[str, tuple[Callable, list[str]]] = {
-    "nothing": (lambda rows: rows, []),
+NOTES: dict[str, tuple[Callable, str]] = {
+    "nothing": (lambda rows: rows, "^$"),
     "repeated": (
         changing((50, 0), lambda time: time - 0.005),
-        ["left out rows that repeat the time stamp before them: 1 (first: line 52)"],
+        r"left out rows that repeat the time stamp before them: 1 \(first: line 52\)",
     ),
     "gap": (
         lambda rows: np.delete(rows, slice(100, 120), axis=0),
-        ["samples are missing before line 102", "105 ms where 5 ms is usual"],
+        "samples are missing before line 102.*105 ms where 5 ms is usual",
     ),
     "uneven": (
         lambda rows: rows[np.random.default_rng(0).random(len(rows)) < 0.7],
-        ["samples are missing before line"],
+        "samples are missing before line",
     ),
     "cut off": (
         lambda rows: [*rows[:-1].tolist(), rows[-1, :4].tolist()],
-        [
-            "left out rows that are no rows of numbers: 1 (first: line 401: 4 cells instead of 7)"
-        ],
+        r"left out rows that are no rows of numbers: 1 \(first: line 401: 4 cells instead of 7\)",
     ),
     "one at rest": (
         changing(np.s_[:, 2], lambda q: 0.0 * q),
-        ["do not move in this log: elbow"],
+        "do not move in this log: elbow",
     ),
     "no motor": (
         changing(np.s_[:, 5], lambda tau: 0.0 * tau),
-        ["joints without torque in this log", "friction is the model's: elbow"],
+        "joints without torque in this log.*friction is the model's: elbow",
     ),
 }
 
 
 @pytest.mark.parametrize("name", NOTES)
 def test_what_is_odd_about_a_log_is_said(tmp_path, name):
-    fault, fragments = NOTES[name]
-    notes = notes_of(read_table(tmp_path, fault(table(motion()))))
-    assert all(text in notes for text in fragments) if fragments else not notes
+    fault, words = NOTES[name]
+    assert re.search(words, notes_of(read_table(tmp_path, fault(table(motion())))))
 
 
 def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path):

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from rigs.log_files import arm_of, titles_alone
 from rigs.refusals import refused
 from robot_sysid.damiao.trajectory import trajectory_columns
-from robot_sysid.errors import InputError
 from robot_sysid.logs import declarations
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.records import ColumnMap
@@ -200,39 +199,38 @@ def test_declared_degrees_leave_slides_alone():
 
 
 @pytest.mark.parametrize(
-    ("titles", "fragments"),
+    ("titles", "fault"),
     [
         (
             "time,q1,q2,q3,tau1,tau2,tau3,torque_1",
-            ["'tau1' and 'torque_1'", "joint joint0"],
+            "'tau1' and 'torque_1' .* joint joint0",
         ),
-        ("time,timestamp,q1,q2,q3,tau1,tau2,tau3", ["'time' and 'timestamp'"]),
+        ("time,timestamp,q1,q2,q3,tau1,tau2,tau3", "'time' and 'timestamp'"),
         (
             "t,joint0_pos,joint1_pos,joint2_pos,q1,q2,q3,tau1,tau2,tau3",
-            ["'joint0_pos' and 'q1'"],
+            "'joint0_pos' and 'q1'",
         ),
         (
             "t,q1,q2,q3,q4,tau1,tau2,tau3,tau4",
-            ["position", "each joint of the chain", "found q1, q2, q3, q4"],
+            "position .* each joint of the chain .* found q1, q2, q3, q4",
         ),
-        ("t,q1,q2,q3", ["torque", "found none"]),
-        ("t,q1,q2,q3,tau1,tau2,tau3<script>", ["torque", "found tau1, tau2"]),
+        ("t,q1,q2,q3", "torque .* found none"),
+        ("t,q1,q2,q3,tau1,tau2,tau3<script>", "torque .* found tau1, tau2"),
         (
             "t,q1,q2,q3,q1_cmd,q2_cmd,q3_cmd",
-            ["torque", "q1_cmd, ... are commanded", "--torque-from position-error"],
+            "torque .* q1_cmd, ... are commanded .* --torque-from position-error",
         ),
-        ("q1,q2,q3,tau1,tau2,tau3", ["no time column", "rate"]),
+        ("q1,q2,q3,tau1,tau2,tau3", "no time column .* rate"),
         (
             "t,joint1_pos,joint2_pos,joint3_pos,tau1,tau2,tau3",
-            ["position", "found joint1_pos, joint2_pos, joint3_pos"],
+            "position .* found joint1_pos, joint2_pos, joint3_pos",
         ),
-        ("t,q1 [furlong],q2,q3,tau1,tau2,tau3", ["furlong", "unknown"]),
+        ("t,q1 [furlong],q2,q3,tau1,tau2,tau3", "furlong.* unknown"),
     ],
 )
-def test_what_is_missing_or_ambiguous_is_said(titles, fragments):
-    with pytest.raises(InputError) as caught:
+def test_what_is_missing_or_ambiguous_is_said(titles, fault):
+    with refused(fault):
         recognise(titles)
-    assert all(word in str(caught.value) for word in fragments)
 
 
 def test_a_line_counts_columns_and_keeps_quantities_out():
@@ -299,45 +297,49 @@ def test_a_pattern_fits_names_as_titles_do_and_leaves_fingers_out():
 
 
 PLAIN = f"t,q1,q2,q3,{TORQUES}"
-NO_COLUMN = "no single column"
-NOT_UNDERSTOOD = "not understood"
 
 
 @pytest.mark.parametrize(
-    ("line", "titles", "fragments"),
+    ("titles", "fault"),
     [
-        ("position = x*", "t,x0,x1", ["fits 2 columns (x0, x1)", "3 joints"]),
-        ("position = x*", "t,x0,x2,x4", ["fits 3 columns (x0, x2, x4)"]),
-        ("position = x*", "t,x1,x01,x2", ["fits 3 columns"]),
-        ("position = x*", "t,x1,x1,x2,x3", ["fits 4 columns"]),
-        ("position = x*", "t,xa,xb,xc", ["fits 3 columns (xa, xb, xc)"]),
-        ("position = y*", PLAIN, ["'y*' fits no column"]),
-        ("position = a, b", PLAIN, ["lists 2 columns, the chain has 3"]),
-        ("position = #2..#5", PLAIN, ["lists 4 columns"]),
-        ("position = #6..#8", PLAIN, [f"{NO_COLUMN} '#8'"]),
-        (
-            "positon = x*",
-            PLAIN,
-            ["unknown key 'positon'", "valid keys: time, position"],
-        ),
-        ("torque = ?", PLAIN, ["torque = ? is a blank"]),
-        ("units = ms, ?", PLAIN, ["units = ms, ? is a blank"]),
-        ("zero = 1, 2", PLAIN, ["zero takes one number"]),
-        ("torque.elbow = a", PLAIN, ["unknown joint 'elbow'"]),
-        ("time a", PLAIN, ["once per key: 'time a'"]),
-        ("time = a\ntime = b", PLAIN, ["once per key: 'time = b'"]),
-        ("rate = -3", PLAIN, ["positive number"]),
-        ("units = grad", PLAIN, [NOT_UNDERSTOOD]),
-        ("units = deg,rad", PLAIN, [NOT_UNDERSTOOD]),
-        ("units = 0/rev", PLAIN, [NOT_UNDERSTOOD]),
-        ("units = deg, deg", PLAIN, [NOT_UNDERSTOOD]),
-        ("torque = 1e999 * tau1, tau2, tau3", PLAIN, [NO_COLUMN]),
-        ("torque = B, tau2, tau3", PLAIN, [f"{NO_COLUMN} 'B'"]),
+        ("t,x0,x1", "fits 2 columns (x0, x1), and not one for each of the 3 joints"),
+        ("t,x0,x2,x4", "fits 3 columns (x0, x2, x4)"),
+        ("t,x1,x01,x2", "fits 3 columns"),
+        ("t,x1,x1,x2,x3", "fits 4 columns"),
+        ("t,xa,xb,xc", "fits 3 columns (xa, xb, xc)"),
+        (PLAIN, "'x*' fits no column"),
     ],
 )
-def test_what_a_line_cannot_mean_is_refused_with_what_it_fits(line, titles, fragments):
-    with refused(".*".join(map(re.escape, fragments))):
-        declared(line, titles)
+def test_a_pattern_that_fits_other_columns_is_refused_with_these(titles, fault):
+    with refused(re.escape(fault)):
+        declared("position = x*", titles)
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        ("position = a, b", "lists 2 columns, the chain has 3"),
+        ("position = #2..#5", "lists 4 columns"),
+        ("position = #6..#8", "no single column '#8'"),
+        ("positon = x*", "unknown key 'positon'; valid keys: time, position"),
+        ("torque = ?", r"torque = \? is a blank"),
+        ("units = ms, ?", r"units = ms, \? is a blank"),
+        ("zero = 1, 2", "zero takes one number"),
+        ("torque.elbow = a", "unknown joint 'elbow'"),
+        ("time a", "once per key: 'time a'"),
+        ("time = a\ntime = b", "once per key: 'time = b'"),
+        ("rate = -3", "positive number"),
+        ("units = grad", "not understood"),
+        ("units = deg,rad", "not understood"),
+        ("units = 0/rev", "not understood"),
+        ("units = deg, deg", "not understood"),
+        ("torque = 1e999 * tau1, tau2, tau3", "no single column"),
+        ("torque = B, tau2, tau3", "no single column 'B'"),
+    ],
+)
+def test_what_a_line_cannot_mean_is_refused(line, fault):
+    with refused(fault):
+        declared(line, PLAIN)
 
 
 @pytest.mark.parametrize(
