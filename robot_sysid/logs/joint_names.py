@@ -110,9 +110,10 @@ def joint_note(matched: Mapping[str, str], names: Sequence[str]) -> str:
 def name_numbers(joint_names: Sequence[str]) -> list[int]:
     """Return the numbers that tell joints apart, such as 1 to 7; [] where words do."""
     _, cores = _context_and_cores(joint_names)
-    if not all(len(core) == 1 and core[0].isdecimal() for core in cores):
+    try:
+        return [int(number) for (number,) in cores]
+    except ValueError:
         return []
-    return [int(core[0]) for core in cores]
 
 
 def _context_and_cores(

@@ -184,10 +184,8 @@ def origin_of(logs: Sequence[Recording], sources: Iterable[Any]) -> DataOrigin:
 TableReader = Callable[[Path, Sequence[str], LogOptions], LogTable]
 """Reads a log of one form as a table: its path, the joints of the arm, and options."""
 _BAG = "a ROS bag", bag_table
-_JSON = "JSON", documents.json_table
 _HDF5 = "an HDF5 file", arrays.hdf5_table
-_TEXT = "a table of text", text_table
-# Pattern of a file's first bytes to its form and the form's reader; any other file is a text table.
+# Pattern of a file's first bytes to its form and the form's reader; the first that fits counts.
 _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     rb"\x89MCAP0": ("an MCAP file", documents.mcap_table),
     rb"#ROSBAG V": _BAG,
@@ -203,12 +201,13 @@ _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     ),
     rb"PK\x03\x04": ("a NumPy .npz file", arrays.npz_table),
     rb"PAR1": ("a Parquet file", arrays.parquet_table),
-    rb"(\xef\xbb\xbf)?\s*[\[{]\s*[\[{\"\d\]}-]": _JSON,
+    rb"(\xef\xbb\xbf)?\s*[\[{]\s*[\[{\"\d\]}-]": ("JSON", documents.json_table),
     # What ros2 topic echo prints, behind warnings.
     rb"(.*\n)?header:\s+(seq|stamp):": (
         "text of ros2 topic echo",
         documents.echo_table,
     ),
+    rb"": ("a table of text", text_table),
 }
 # A file in a folder to the folder's form and the form's reader.
 _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
@@ -237,31 +236,28 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         joint_names: (n,) of the arm, which joints of a ROS bag or data set are matched with.
         options: topic, episodes and whether commands are read.
     """
-    is_folder = os.path.isdir(path)  # Path.is_dir raises where a name is too long
-    first_bytes = b""
-    try:
-        if not is_folder:
-            refuse_special_file(path, "a log is read twice: write it to a file")
-            with path.open("rb") as stream:
-                first_bytes = stream.read(4096)
-    except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"cannot read the log {path}: {reason}") from error
-    if is_folder:
+    if os.path.isdir(path):  # Path.is_dir raises where a name is too long
         forms = [form for name, form in _FOLDERS.items() if (path / name).is_file()]
-        if not forms:
-            raise InputError(
-                f"{path} is a folder of no known form; a log is a text table (CSV), JSON, a ROS 1 "
-                "or ROS 2 bag, MCAP, a LeRobot data set, HDF5, Parquet, NumPy .npz, MATLAB .mat "
-                "or Excel .xlsx"
-            )
     else:
+        refuse_special_file(path, "a log is read twice: write it to a file")
+        try:
+            with path.open("rb") as stream:
+                beginning = stream.read(4096)
+        except OSError as error:
+            reason = error.strerror or error
+            raise InputError(f"cannot read the log {path}: {reason}") from error
         forms = [
             form
             for pattern, form in _FILES.items()
-            if re.match(pattern, first_bytes, re.DOTALL)
+            if re.match(pattern, beginning, re.DOTALL)
         ]
-    form, reader = forms[0] if forms else _TEXT
+    if not forms:
+        raise InputError(
+            f"{path} is a folder of no known form; a log is a text table (CSV), JSON, a ROS 1 or "
+            "ROS 2 bag, MCAP, a LeRobot data set, HDF5, Parquet, NumPy .npz, MATLAB .mat or Excel "
+            ".xlsx"
+        )
+    form, reader = forms[0]
     with as_input_errors(path, form):
         table = reader(path, joint_names, options)
     return replace(table, form=form)

@@ -58,7 +58,8 @@ def _numbers_in_mapping(
     if seconds and nanoseconds:
         fraction = 1e-9 * int(value[min(nanoseconds)])
         yield title or "time", int(value[min(seconds)]) + fraction
-        value = {key: value[key] for key in value.keys() - seconds - nanoseconds}
+        stamp = seconds | nanoseconds
+        value = {key: value[key] for key in value if key not in stamp}
     lengths = [len(content) for content in value.values() if isinstance(content, list)]
     lists = filter(is_names, value.values())
     # The names of what other lists hold.
