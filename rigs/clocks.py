@@ -8,7 +8,7 @@ import itertools
 import signal
 
 from robot_sysid.damiao.bus import SimulatedClock
-from robot_sysid.errors import STOP_SIGNALS
+from robot_sysid.errors import STOP_SIGNALS, SUSPENSION
 
 
 class ScriptedClock(SimulatedClock):
@@ -41,7 +41,7 @@ def heard_signals():
     """Signals that are not ignored, also where nohup or a shell's ``&`` started the tests."""
     before = {
         number: signal.signal(number, signal.default_int_handler)
-        for number in STOP_SIGNALS
+        for number in (*STOP_SIGNALS, *SUSPENSION)
     }
     try:
         yield

@@ -138,11 +138,15 @@ class HardwareAbort(SysidError):
     exit_code = 3
 
 
-_SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
-STOP_SIGNALS = tuple(
-    getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name)
-)
+def _signals(*names: str) -> tuple[signal.Signals, ...]:
+    """Return those of the named signals that the system has."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+STOP_SIGNALS = _signals("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
 """Signals by which a user or the system asks a program to end, and which end it by default."""
+SUSPENSION = _signals("SIGTSTP")
+"""The signal by which a terminal suspends a program (Ctrl-Z)."""
 
 
 def _in_main_thread() -> bool:
@@ -152,7 +156,9 @@ def _in_main_thread() -> bool:
 
 @contextlib.contextmanager
 def handle_stop_signals(
-    handler: Callable[[int, Any], object], ignore_afterwards: bool = False
+    handler: Callable[[int, Any], object],
+    ignore_afterwards: bool = False,
+    further: tuple[signal.Signals, ...] = (),
 ) -> Iterator[None]:
     """Have the stop signals call ``handler(number, frame)`` inside the block.
 
@@ -163,9 +169,10 @@ def handle_stop_signals(
         ignore_afterwards: ignore the signals after the block instead of restoring their handlers,
             for a process about to end: a signal in Python's own shutdown would replace its exit
             code.
+        further: signals that are to do the same.
     """
     previous = {}
-    for number in STOP_SIGNALS if _in_main_thread() else ():
+    for number in (*STOP_SIGNALS, *further) if _in_main_thread() else ():
         if signal.getsignal(number) is not signal.SIG_IGN:
             previous[number] = signal.signal(number, handler)
     try:

@@ -39,7 +39,12 @@ from robot_sysid.damiao.safety.plausibility import Replies
 from robot_sysid.damiao.safety.watch import Watch
 from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.errors import HardwareAbort, error_text, handle_stop_signals
+from robot_sysid.errors import (
+    SUSPENSION,
+    HardwareAbort,
+    error_text,
+    handle_stop_signals,
+)
 from robot_sysid.records import Array
 from robot_sysid.wording import option_name
 
@@ -450,8 +455,11 @@ class StopRequest:
         self.insisted |= insist
 
     def on_signals(self) -> AbstractContextManager[None]:
-        """Return a context in which signals that ask the program to end request a stop."""
-        return handle_stop_signals(self._handle)
+        """Return a context in which signals that ask the program to end request a stop.
+
+        So does Ctrl-Z: watchdogs would let go of the arm of a program that is suspended.
+        """
+        return handle_stop_signals(self._handle, further=SUSPENSION)
 
     def _handle(self, number: int, frame: Any) -> None:
         """Request a stop for a signal, at once for an interrupt over 0.2 s after the first one.

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from rigs.clocks import ScriptedClock
 from robot_sysid.damiao.player import CycleTimer, StopRequest
-from robot_sysid.errors import STOP_SIGNALS, HardwareAbort
+from robot_sysid.errors import STOP_SIGNALS, SUSPENSION, HardwareAbort
+
+NAMES = [number.name for number in (*STOP_SIGNALS, *SUSPENSION)]
 
 
 @given(st.lists(st.floats(0.0, 0.03), min_size=1, max_size=60))
@@ -43,7 +45,7 @@ def test_too_late_stops_unless_told_otherwise():
     assert max(timer.lateness) == pytest.approx(0.048, abs=2.1e-3)
 
 
-@pytest.mark.parametrize("name", [number.name for number in STOP_SIGNALS])
+@pytest.mark.parametrize("name", NAMES)
 def test_signals_are_wishes_inside_the_block_only(name, heard):
     number = getattr(signal, name)
     stop = StopRequest()
@@ -54,7 +56,7 @@ def test_signals_are_wishes_inside_the_block_only(name, heard):
     assert (stop.reason, stop.insisted) == (f"stopped by {name}", False)
 
 
-@pytest.mark.parametrize("name", [number.name for number in STOP_SIGNALS])
+@pytest.mark.parametrize("name", NAMES)
 def test_what_nohup_or_a_shell_makes_a_process_ignore_stays_ignored(name, heard):
     number = getattr(signal, name)
     stop = StopRequest()
