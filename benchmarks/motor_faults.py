@@ -5,13 +5,16 @@ Run from the checkout:
     ... damage --runs 400 --seed 1
     ... stop
     ... clean
+    ... clean --seeds 20                   # arms that are not as their models say
+    ... clean --seeds 20 --model arm.xml --joint wrist
     ... all --json motor_faults.json
     ... page          # the table of motor_faults.md
 
 The Kinova arm is played on simulated Damiao motors, in simulated time. ``damage`` spoils
 one feedback frame, as text on a serial line; ``faults`` disturbs a motor or the arm while it plays;
 ``stop`` measures how far joints fall after the stop of an arm that is held still; ``clean`` plays
-undisturbed. A fault's run branches off the undisturbed one in a process of its own.
+undisturbed, with ``--seeds`` arms that are not as their models say, with that many motions. A
+fault's run branches off the undisturbed one in a process of its own.
 
 The exit code is 1 where a damaged frame moved a joint farther than it may, or an undisturbed run
 was stopped.
@@ -46,6 +49,7 @@ from rigs.fault_bench import (
     outcomes_of,
 )
 from rigs.places import ROOT
+from rigs.worn_arms import WORN_ARMS, WornSetUp
 
 PAGE = ROOT / "benchmarks" / "motor_faults.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
@@ -96,11 +100,22 @@ def clean_setups(rates: Sequence[float]) -> list[SetUp]:
     return [SetUp("guess", is_given, rate=rate) for rate, is_given in both]
 
 
-def clean_result(setup: SetUp) -> dict:
-    """Play a set-up undisturbed and return what came of it."""
+def worn_setups(
+    arms: dict[str, WornSetUp], rates: Sequence[float], seeds: int
+) -> Iterator[tuple[str, SetUp]]:
+    """Yield, with their row of the table, the runs of arms that are not as their models say."""
+    grid = itertools.product(arms.items(), (True, False), rates, range(seeds))
+    for (name, arm), is_given, rate, seed in grid:
+        model = "given" if is_given else "none"
+        setup = replace(arm, model_is_given=is_given, rate=rate, seed=seed)
+        yield f"{name} | {model} | {rate:g}", setup
+
+
+def clean_result(case: tuple[str, SetUp]) -> dict:
+    """Play a set-up undisturbed and return what came of it, beside its name."""
+    name, setup = case
     record = BenchRun(setup).play()
-    is_complete = not record.error
-    return {"setup": setup_text(setup), "completed": is_complete, "words": record.error}
+    return {"setup": name, "completed": not record.error, "words": record.error}
 
 
 def shorten_message(message: str, length: int = 78) -> str:
@@ -192,18 +207,21 @@ def print_table(outcomes: list, columns: Sequence[tuple]) -> None:
     print()
 
 
-def print_clean_runs(rates: Sequence[float], jobs: int) -> list[dict]:
-    """Play undisturbed, print a line for each run, and return the results."""
-    results = []
+def print_clean_runs(cases: Sequence[tuple[str, SetUp]], jobs: int) -> list[dict]:
+    """Play undisturbed, print a line for each set-up, and return the results of all runs."""
+    results: list[dict] = []
+    print("| set-up | stopped | words |\n|---|---|---|")
     with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        for result in pool.imap(clean_result, clean_setups(rates)):
-            ending = (
-                "completed" if result["completed"] else f"STOPPED: {result['words']}"
-            )
-            print(f"{result['setup']:44s} {ending}", flush=True)
-            results.append(result)
-    stopped = sum(not result["completed"] for result in results)
-    print(f"{stopped} of {len(results)} undisturbed runs were stopped\n", flush=True)
+        played = pool.imap(clean_result, cases)
+        for name, group in itertools.groupby(played, lambda result: result["setup"]):
+            runs = list(group)
+            stopped = [run["words"] for run in runs if not run["completed"]]
+            words = Counter(shorten_message(text, 90) for text in stopped)
+            summary = "; ".join(f"{count}x {text}" for text, count in words.items())
+            print(f"| {name} | {len(stopped)} of {len(runs)} | {summary} |", flush=True)
+            results += runs
+    count = sum(not result["completed"] for result in results)
+    print(f"{count} of {len(results)} undisturbed runs were stopped\n", flush=True)
     return results
 
 
@@ -231,10 +249,15 @@ def parser() -> argparse.ArgumentParser:
         "--runs", type=int, default=40, help="damaged frames; 400 for a deep run"
     )
     options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--only", default="", help="faults whose name contains this")
+    options.add_argument("--only", default="", help="rows whose name contains this")
     options.add_argument(
         "--rate", type=float, action="append", help="of clean runs [Hz]"
     )
+    options.add_argument(
+        "--seeds", type=int, default=0, help="clean runs of each worn arm and rate"
+    )
+    options.add_argument("--model", type=Path, help="of one worn arm, in place of all")
+    options.add_argument("--joint", help="terminal joint of this model")
     options.add_argument("--jobs", type=int, default=2, help="processes at a time")
     options.add_argument("--json", type=Path, help="write all outcomes to this file")
     return options
@@ -266,7 +289,16 @@ def main() -> int:
         print_table(outcomes, HOLD_COLUMNS)
         results["stop"] = [asdict(outcome) for outcome in outcomes]
     if is_all or options.campaign == "clean":
-        results["clean"] = print_clean_runs(options.rate or RATES, options.jobs)
+        rates = options.rate or RATES
+        arms = WORN_ARMS
+        if options.model:
+            one = WornSetUp(model=options.model, terminal=options.joint)
+            arms = {options.model.stem: one}
+        clean = [(setup_text(setup), setup) for setup in clean_setups(rates)]
+        if options.seeds:
+            worn = worn_setups(arms, rates, options.seeds)
+            clean = [case for case in worn if options.only in case[0]]
+        results["clean"] = print_clean_runs(clean, options.jobs)
         has_failed |= not all(result["completed"] for result in results["clean"])
     if options.json:
         options.json.write_text(json.dumps(results, indent=1))

@@ -15,7 +15,7 @@ from rigs.clocks import ScriptedClock
 from rigs.links import RememberingLink
 from rigs.recordings import read_recording
 from robot_sysid.damiao import execution, protocol
-from robot_sysid.damiao.bus import GuardedLink, inspect_bus
+from robot_sysid.damiao.bus import GuardedLink, LinkError, inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
@@ -124,6 +124,7 @@ class FaultyMotor(SimulatedMotor):
         slip_rate: how fast that grows [rad/s].
         slip_is_felt: whether the encoder's speed includes the slip.
         torque_share: torque that it makes per torque that it is to make.
+        stiffness_share: stiffness that it has per stiffness that it is to have.
         jam_damping: damping of what holds its joint [N m s/rad].
         stored: registers in flash.
     """
@@ -140,6 +141,7 @@ class FaultyMotor(SimulatedMotor):
     slip_rate: float = 0.0
     slip_is_felt: bool = True
     torque_share: float = 1.0
+    stiffness_share: float = 1.0
     jam_damping: float = 0.0
     stored: dict = field(default_factory=dict)
     last_answer: bytes = b""
@@ -215,18 +217,20 @@ class Pendulums:
 
 
 class FaultyArm(SimulatedArm):
-    """An arm of faulty motors, which are mounted straight where their encoders are wrong.
+    """An arm of faulty motors, which are mounted straight where their encoders are frozen.
 
     Attributes:
         truth: time [s], positions and velocities (n,) of its joints, as they really were, per step.
         push: (n,) torque on the joints from outside [N m].
+        off_at: when no motor was enabled any more [s]; infinite before.
         takes_whole_steps: whether steps are never cut short at the time of a frame: this is fast.
     """
 
     def __init__(self, mechanism, motors):
         super().__init__(mechanism, motors)
-        self.truth = []
+        self.truth = [(0.0, mechanism.q.copy(), mechanism.qd.copy())]
         self.push = np.zeros(mechanism.n_joints)
+        self.off_at = np.inf
         self.takes_whole_steps = False
         self._step = mechanism.step
         mechanism.step = self._step_truly
@@ -240,6 +244,8 @@ class FaultyArm(SimulatedArm):
     def _step_truly(self, torque, damping, duration):
         torque = self._share * torque + self.push
         self._step(torque, self._share * damping + self._jam, duration)
+        if not np.any(self._limited):
+            self.off_at = min(self.off_at, self.time)
         state = self.mechanism.q.copy(), self.mechanism.qd.copy()
         self.truth.append((self.time, *state))
 
@@ -249,6 +255,7 @@ class FaultyArm(SimulatedArm):
         rows = [
             (
                 m.torque_share,
+                m.stiffness_share,
                 m.jam_damping,
                 m.encoder_error,
                 m.frozen_encoder,
@@ -256,7 +263,12 @@ class FaultyArm(SimulatedArm):
             )
             for m in motors
         ]
-        self._share, self._jam, self._error, self._frozen, slip = np.transpose(rows)
+        self._share, stiff, self._jam, self._error, self._frozen, slip = np.transpose(
+            rows
+        )
+        self._kp = stiff * self._kp
+        # Of motors that turn the other way than their joints, too.
+        self._error, slip = self._mounting.direction * [self._error, slip]
         self._offset = self._offset - np.where(self._limited, self._kd * slip, 0.0)
         is_frozen = self._limited & np.isfinite(self._frozen)
         self._kd = np.where(is_frozen, 0.0, self._kd)
@@ -324,15 +336,19 @@ class Damage:
 
 
 class FaultyBus(SimulatedLink):
-    """A bus on which frames come late or damaged, or others talk.
+    """A bus on which frames come late or damaged, or not at all, or others talk.
 
     Attributes:
         delay: returns by how much the next answer is late [s]; none overtakes another.
+        loses: returns whether the next answer is lost.
         damage: what happens to the next answer of its joint; None once it has happened.
+        is_off: whether it takes no frames, because the adapter has switched itself off.
     """
 
     delay = None
+    loses = None
     damage = None
+    is_off = False
     _last_arrival = 0.0
 
     def send_foreign(self, frame, is_seen):
@@ -344,7 +360,20 @@ class FaultyBus(SimulatedLink):
         if is_seen:
             self._deliver(frame._replace(time=self._free_at))
 
+    def send(self, frame):
+        if self.is_off:
+            raise LinkError("the CAN bus takes no more frames")
+        super().send(frame)
+
+    def receive(self, until):
+        if not self.is_off:
+            return super().receive(until)
+        self.clock.sleep_until(until)
+        return None
+
     def _deliver(self, frame):
+        if self.loses is not None and not frame.echo and self.loses():
+            return
         if self.delay is not None and not frame.echo:
             self._last_arrival = max(self._last_arrival, frame.time + self.delay())
             frame = frame._replace(time=self._last_arrival)

@@ -89,6 +89,22 @@ class SetUp:
         """What the motors' watchdogs are set to [s]: ten cycles at least."""
         return max(0.1, 10.0 / self.rate)
 
+    @property
+    def robot(self):
+        """The model of the arm that the player has, if any."""
+        return robot_of(self.belief)
+
+    def plan(self):
+        """Return the plan of the run."""
+        return plan_of(self)
+
+    def mechanism(self, q):
+        """Return the arm as it is, at rest at q (n,) [rad]."""
+        return ArmStepper(robot_of("truth"), q, PHYSICS_STEP)
+
+    def prepare(self, run):
+        """Make motors as they are before a run, which are sound here."""
+
 
 @cache
 def robot_of(belief):
@@ -152,7 +168,8 @@ def plan_of(setup):
 class RunRecord:
     """What a run did from its onset on.
 
-    Times are in the run's clock [s]; ``stop_at`` and ``disabled_at`` are None where there was none.
+    Times are in the run's clock [s]; where there was none, ``stop_at`` is None and ``disabled_at``
+    infinite.
     ``energy`` has a row of time and mechanical energy [s, J] for every 20th step.
     """
 
@@ -163,7 +180,7 @@ class RunRecord:
     energy: np.ndarray
     phases: list[tuple[float, str]]
     stop_at: float | None
-    disabled_at: float | None
+    disabled_at: float
     error: str
     was_ended: bool
 
@@ -224,16 +241,16 @@ class BenchRun(MotorRun):
     """
 
     def __init__(self, setup, cases=(), folder=None, jobs=2):
-        plan = plan_of(setup)
+        plan = setup.plan()
         first = plan.trajectory.q[0]
         toward_start = np.where(np.arange(len(first)) % 2, 0.1, -0.1)
         start = first if setup.stands else first + toward_start
-        mechanism = ArmStepper(robot_of("truth"), start, PHYSICS_STEP)
+        mechanism = setup.mechanism(start)
         super().__init__(plan, mechanism, watchdog=setup.watchdog, echo=True)
         self.arm.takes_whole_steps = True
+        setup.prepare(self)
         if setup.model_is_given:
-            robot = robot_of(setup.belief)
-            self.holding = gravity_check(robot, plan.trajectory.joints)
+            self.holding = gravity_check(setup.robot, plan.trajectory.joints)
         self.stop_at = None
         self.was_ended = False
         self._cases = dict(enumerate(cases))
@@ -308,7 +325,7 @@ class BenchRun(MotorRun):
             np.column_stack([times[since::20], energy]),
             self.phases,
             self.stop_at,
-            next(iter(disabled), None),
+            min([*disabled, self.arm.off_at]),
             error,
             self.was_ended,
         )
@@ -393,7 +410,7 @@ def _clean_span(record, clean, begin, end):
     return begin, end
 
 
-def _departures(record, clean, until):
+def departures(record, clean, until):
     """Return the departure (n,) of each joint between the onset and a moment [rad]."""
     stop_at = until if record.stop_at is None else record.stop_at
     steps = np.arange(record.onset, min(stop_at, until), STEP)
@@ -423,12 +440,12 @@ def judged_outcome(case, record, clean):
     # The player stops at errors of the bench, too.
     assert "Error: " not in record.error, record.error
     stop_at = np.inf if record.stop_at is None else record.stop_at
-    until = min(record.disabled_at or record.time[-1], stop_at + OBSERVED)
+    until = min(record.disabled_at, record.time[-1], stop_at + OBSERVED)
     inside = (record.time >= stop_at) & (record.time <= until)
     is_later = inside & (record.time >= stop_at + LATER)
     q = record.q[inside]
     values = {
-        "departure": _departures(record, clean, until),
+        "departure": departures(record, clean, until),
         "fall": np.abs(q - q[:1]).max(axis=0, initial=0.0),
         "speed": np.abs(record.qd[inside]).max(axis=0, initial=0.0),
         "later speed": np.abs(record.qd[is_later]).max(axis=0, initial=0.0),
