@@ -35,6 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rigs.places import MODELS
+from rigs.realtime_arm import arm_process
 from rigs.rehearsals import ARMS as REHEARSED_ARMS
 from rigs.rehearsals import FAST, Arm, plan
 
@@ -163,25 +164,6 @@ def witnesses() -> Iterator[list]:
             pauses_seen += [list(pauses) for pauses in (*processors, line)]
 
 
-@contextlib.contextmanager
-def simulated_arm(arguments: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Start an arm behind a pseudo-terminal; yield its device and its closing lines."""
-    command = [sys.executable, "-m", "rigs.realtime_arm", *arguments]
-    arm = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    output: list[str] = []
-    try:
-        device = None
-        while device is None:
-            line = arm.stdout.readline()
-            if not line:
-                raise SystemExit(f"no simulated arm: {' '.join(command)}")
-            device = re.search(r"--channel (\S+)", line)
-        yield device[1], output
-    finally:
-        arm.terminate()
-        output += arm.communicate()[0].splitlines()
-
-
 def bus_arguments(name: str, rate: float, trajectory: Path) -> list[str]:
     """Return the arguments that play and simulate have in common."""
     fd = ["--fd"] if rate > FAST else []
@@ -216,7 +198,7 @@ def play(name: str, rate: float, load_name: str, trajectory: Path) -> Result:
     with (
         load(load_name == "busy"),
         witnesses() as pauses,
-        simulated_arm([*arguments, *watchdog]) as arm,
+        arm_process([*arguments, *watchdog]) as arm,
     ):
         device, output = arm
         address = ["--interface", "slcan", "--channel", device, "--accept-directions"]
@@ -262,11 +244,7 @@ def set_up(name: str, trajectory: Path) -> Result:
     """Return the result of listing and changing a simulated arm's motors on a busy computer."""
     arguments = bus_arguments(name, RATES[1], trajectory)
     n_motors = len(ARMS[name].motors)
-    with (
-        load(True),
-        witnesses() as pauses,
-        simulated_arm(arguments) as (device, output),
-    ):
+    with load(True), witnesses() as pauses, arm_process(arguments) as (device, output):
         change = ["--motor", "1", "--watchdog", "0.2"]
         setup = subprocess.run(
             [*PROGRAM, "setup", "--interface", "slcan", "--channel", device, *change],

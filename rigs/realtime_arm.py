@@ -3,7 +3,8 @@
     python -m rigs.realtime_arm TRAJECTORY --model MODEL [--joint NAME] [--watchdog S]
 
 It prints ``--channel DEVICE`` for the program that plays on it, and when it is ended how timely it
-was. With ``--frames FILE`` the ids and data of all received frames are written to a file.
+was. With ``--frames FILE`` the ids and data of all received frames are written to a file, with
+``--truth FILE`` where the arm was: rows of time, number of enabled motors and positions.
 """
 
 from __future__ import annotations
@@ -12,10 +13,15 @@ import argparse
 import contextlib
 import math
 import os
+import re
 import select
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rigs.links import RememberingLink
@@ -158,6 +164,25 @@ def serve(arm, link, clock, running):
     return report
 
 
+@contextlib.contextmanager
+def arm_process(arguments: list[str]) -> Iterator[tuple[str, list[str]]]:
+    """Start an arm behind a pseudo-terminal; yield its device and its closing lines."""
+    command = [sys.executable, "-m", "rigs.realtime_arm", *arguments]
+    arm = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    output: list[str] = []
+    try:
+        device = None
+        while device is None:
+            line = arm.stdout.readline()
+            if not line:
+                raise SystemExit(f"no simulated arm: {' '.join(command)}")
+            device = re.search(r"--channel (\S+)", line)
+        yield device[1], output
+    finally:
+        arm.terminate()
+        output += arm.communicate()[0].splitlines()
+
+
 def main():
     """Serve the arm of a model that stands at a trajectory's first point until it is ended."""
     parser = argparse.ArgumentParser()
@@ -166,6 +191,7 @@ def main():
     parser.add_argument("--joint")
     parser.add_argument("--watchdog", type=float, default=0.1)
     parser.add_argument("--frames", type=Path)
+    parser.add_argument("--truth", type=Path)
     options, _ = parser.parse_known_args()
     played = read_damiao_trajectory(options.trajectory)
     robot = load_robot_model(options.model, joint=options.joint)
@@ -176,9 +202,18 @@ def main():
     stop = StopRequest()
     bus = BusLink(terminal, clock)
     link = RememberingLink(bus, clock)
+    truth = []
+
+    def running():
+        enabled = sum(motor.driving for motor in motors)
+        truth.append([clock.now(), enabled, *arm.mechanism.q])
+        return not stop.reason
+
     with contextlib.closing(bus), stop.on_signals():
         print(f"--channel {device}", flush=True)
-        report = serve(arm, link, clock, lambda: not stop.reason)
+        report = serve(arm, link, clock, running)
+    if options.truth is not None:
+        np.savetxt(options.truth, truth)
     if options.frames is not None:
         received = [frame for frame, was_sent in link.frames if not was_sent]
         lines = [f"{frame.id} {frame.data.hex()}" for frame in received]

@@ -1,0 +1,92 @@
+"""What owners of arms meet while one moves: how far joints get from their paths, how the run ends.
+
+Run from the checkout:
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.motor_incidents
+    ... --arm small --only late
+    ... --processes          # the program is stopped, killed, or has no disk or console
+    ... --page               # the table of motor_faults.md
+
+Two arms that are not as their models say, one that is written here and a public one, are played on
+simulated motors, in simulated time; ``--processes`` plays in real time, in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from benchmarks.motor_faults import PAGE, shorten_message
+from benchmarks.speed_table import rewrite
+from rigs.fault_bench import outcomes_of
+from rigs.incidents import SETUPS, cases_on, departure_of
+from rigs.process_incidents import results_of
+
+ROWS_BEGIN = "<!-- incidents: python -m benchmarks.motor_incidents --page -->"
+ROWS_END = "<!-- end of incidents -->"
+HEAD = (
+    "| Incident | Arm | Departure [rad] | Ending | The message begins |\n"
+    "| --- | --- | --- | --- | --- |"
+)
+LENGTH = 100
+
+
+def motor_rows(arms: Sequence[str], only: str, jobs: int) -> Iterator[str]:
+    """Yield a row of the table for each incident of a motor, its bus or its set-up."""
+    for arm in arms:
+        cases = [case for case in cases_on(SETUPS[arm]) if only in case.name]
+        for case, outcome in zip(cases, outcomes_of(cases, jobs)):
+            model = "" if case.setup.model_is_given else ", no model"
+            departure = departure_of(case, outcome)
+            message = shorten_message(outcome.words, LENGTH)
+            yield (
+                f"| {case.name} | {arm}{model} | {departure:.2f} | {outcome.ending} | {message} |"
+            )
+
+
+def process_rows(only: str) -> Iterator[str]:
+    """Yield a row of the table for each incident of the program or around it."""
+    with tempfile.TemporaryDirectory() as folder:
+        for result in results_of(Path(folder)):
+            incident = result.incident
+            if only not in incident.name:
+                continue
+            ending = f"exit code {result.code}, off after {result.off_after:.2f} s"
+            message = shorten_message(result.message, LENGTH) * (result.code == 3)
+            yield (
+                f"| {incident.name} | small, in real time | {result.departure:.2f} | {ending} "
+                f"| {message} |"
+            )
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    options.add_argument("--arm", choices=list(SETUPS), action="append")
+    options.add_argument("--processes", action="store_true", help="only in real time")
+    options.add_argument("--only", default="", help="rows whose name contains this")
+    options.add_argument("--jobs", type=int, default=2, help="processes at a time")
+    options.add_argument("--page", action="store_true", help="write motor_faults.md")
+    return options
+
+
+def main() -> None:
+    """Print the rows that were asked for, or write all into the page."""
+    options = parser().parse_args()
+    rows = [HEAD]
+    print(HEAD)
+    if not options.processes:
+        for row in motor_rows(options.arm or [*SETUPS], options.only, options.jobs):
+            print(row, flush=True)
+            rows.append(row)
+    if options.processes or options.page:
+        for row in process_rows(options.only):
+            print(row, flush=True)
+            rows.append(row)
+    if options.page:
+        rewrite(PAGE, ROWS_BEGIN, ROWS_END, rows)
+
+
+if __name__ == "__main__":
+    main()

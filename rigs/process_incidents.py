@@ -1,0 +1,198 @@
+"""What happens to the program that plays, or around it, while it moves an arm in real time.
+
+The program is ``robot-sysid motors play``; the arm is another process, behind a pseudo-terminal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rigs.damiao_rig import trajectory_file
+from rigs.fault_bench import RunRecord, departures
+from rigs.incidents import SMALL, SMALL_ARM
+from rigs.realtime_arm import arm_process
+
+PLAY = (sys.executable, "-m", "robot_sysid", "motors", "play")
+RATE = 100.0
+WATCHDOG = 0.15
+BEGINS = 1.2
+"""When it happens, after the trajectory has begun [s]."""
+PATIENCE = 30.0
+TRIES = 3
+SINKS = 0.5
+"""How long the arm is watched after the program has ended [s]."""
+
+
+def stop_for_half_a_second(player):
+    player.send_signal(signal.SIGSTOP)
+    time.sleep(0.5)
+    player.send_signal(signal.SIGCONT)
+
+
+def interrupt_twice(player):
+    player.send_signal(signal.SIGINT)
+    time.sleep(0.25)
+    player.send_signal(signal.SIGINT)
+
+
+def sending(number):
+    """Return what sends a signal."""
+    return lambda player: player.send_signal(number)
+
+
+def close_console(player):
+    """Close the pipes that the program prints into."""
+    player.stdout.close()
+
+
+def small_files_only():
+    """Let no file grow beyond 20 kB, as on a disk that is full."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+
+
+def nothing(player):
+    """Let it play."""
+
+
+@dataclass(frozen=True)
+class Incident:
+    """Something that happens to the program, and what has to come of it.
+
+    Attributes:
+        act: what happens; is called with the program's process.
+        code: exit code; minus the number of the signal that killed it.
+        words: of the message.
+        prepare: called in the program's process before it begins.
+        bound: on the departure until the motors are off [rad].
+        off_within: how long after it happened the motors are off [s].
+    """
+
+    name: str
+    act: Callable
+    code: int
+    words: str = ""
+    prepare: Callable | None = None
+    bound: float = 0.05
+    off_within: float = 2.5
+
+
+UNDISTURBED = Incident("nothing", nothing, 0)
+INCIDENTS = (
+    Incident("stopped for 0.5 s", stop_for_half_a_second, 3, "late for a control cycle"),
+    Incident("killed", sending(signal.SIGKILL), -9, off_within=0.4),
+    Incident("terminated", sending(signal.SIGTERM), 3, "stopped by SIGTERM"),
+    Incident("hung up", sending(signal.SIGHUP), 3, "stopped by SIGHUP"),
+    Incident("Ctrl-C", sending(signal.SIGINT), 3, "stopped by SIGINT"),
+    Incident("Ctrl-Z", sending(signal.SIGTSTP), 3, "stopped by SIGTSTP"),
+    Incident("Ctrl-C twice", interrupt_twice, 3, "stopped by SIGINT", off_within=0.5),
+    Incident("console closed", close_console, 0, off_within=9.0),
+    Incident("full disk", nothing, 3, "cannot record", small_files_only, off_within=9.0),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of an incident.
+
+    Attributes:
+        departure: how far a joint got from its path until the motors were off [rad].
+        off_after: how long after it happened they were off [s].
+        code: exit code of the program.
+        words: all that it said.
+    """
+
+    incident: Incident
+    departure: float
+    off_after: float
+    code: int
+    words: str
+
+    @property
+    def message(self) -> str:
+        """The error, or what else it said last."""
+        lines = self.words.strip().splitlines()
+        errors = [line for line in lines if "error: " in line]
+        return [*lines, *errors][-1].replace("robot-sysid: error: ", "")
+
+
+def play(folder: Path, incident: Incident) -> tuple[RunRecord, int, str]:
+    """Play while something happens; return the record, exit code and what was said."""
+    folder.mkdir()
+    model = folder / "arm.xml"
+    model.write_text(SMALL_ARM)
+    planned = SMALL.plan().trajectory
+    motion = planned.time, planned.q, planned.qd, planned.tau
+    types = [joint.motor_type for joint in planned.joints]
+    trajectory = trajectory_file(folder, motion, *types).path
+    truth = folder / "truth.txt"
+    arguments = [str(trajectory), "--model", str(model)]
+    watched = [*arguments, "--watchdog", str(WATCHDOG), "--truth", str(truth)]
+    moments = {}
+    said = []
+
+    def act():
+        moments["onset"] = time.monotonic()
+        incident.act(player)
+
+    with arm_process(watched) as (device, _):
+        record = ["--record", str(folder / "measured.csv")]
+        options = ["--rate", f"{RATE:g}", "--yes", "--accept-directions", *record]
+        bus = ["--interface", "slcan", "--channel", device]
+        player = subprocess.Popen(
+            [*PLAY, *arguments, *bus, *options],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True, preexec_fn=incident.prepare,
+        )  # fmt: skip
+        # A console that is closed meanwhile says nothing more.
+        with contextlib.suppress(ValueError):
+            for line in player.stdout:
+                said.append(line)
+                if line.startswith("stopping"):
+                    moments["stop"] = time.monotonic()
+                if line.startswith("playing"):
+                    threading.Timer(BEGINS, act).start()
+        said.append(player.stderr.read())
+        code = player.wait(PATIENCE)
+        player.stderr.close()
+        time.sleep(SINKS)
+    now, enabled, *positions = np.loadtxt(truth).T
+    since = now[np.argmax(enabled == len(positions))]
+    is_off = (enabled == 0) & (now > since)
+    end = now[np.argmax(is_off)] if np.any(is_off) else np.inf
+    if not moments:
+        raise SystemExit("".join(said))
+    stop_at = moments.get("stop")
+    onset = min(moments.values())
+    q = np.transpose(positions)
+    phases = [(since, "enabled")]
+    nobody = np.zeros((0, 2))
+    errors = "".join(said)
+    run = RunRecord(onset, now, q, 0.0 * q, nobody, phases, stop_at, end, errors, False)
+    return run, code, errors
+
+
+def results_of(folder: Path, incidents=INCIDENTS) -> Iterator[Result]:
+    """Yield what comes of incidents, beside an undisturbed run; files go into a new folder."""
+    clean, _, _ = play(folder / "undisturbed", UNDISTURBED)
+    for incident in incidents:
+        for attempt in range(TRIES):
+            run, code, words = play(folder / f"{incident.name} {attempt}", incident)
+            # A busy computer has stopped this run.
+            if "late for" not in words or "late for" in incident.words:
+                break
+        until = min(run.disabled_at, run.time[-1])
+        departure = float(np.max(departures(run, clean, until)))
+        off_after = run.disabled_at - run.onset
+        yield Result(incident, departure, off_after, code, words)
