@@ -232,6 +232,7 @@ def motor_checks(
     """
     settings = plan.settings
     name = joint.label
+    setup = f"motors setup --motor {joint.can_id}"
     registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
@@ -244,8 +245,8 @@ def motor_checks(
     if ids != {joint.master_id}:
         yield stop(
             f"{name} answers on {', '.join(map(hex, sorted(ids)))} but the trajectory expects "
-            f"{joint.master_id:#x}; set it with motors setup --new-master-id, or state the right "
-            f"one in a {option_name('joint_map')}"
+            f"{joint.master_id:#x}; set it with {setup} --new-master-id {joint.master_id:#x} "
+            f"--store, or state the right one in a {option_name('joint_map')}"
         )
 
     nominal = joint.spec.limits
@@ -266,11 +267,11 @@ def motor_checks(
     mode = int(registers[protocol.Register.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         yield stop(
-            f"{name} is in mode {mode} ({protocol.MODES.get(mode, 'unknown')}); set CTRL_MODE to 1 "
-            "(MIT)"
+            f"{name} is in mode {mode} ({protocol.MODES.get(mode, 'unknown')}); set it to MIT with "
+            f"{setup} --mit --store"
         )
     timeout = registers[protocol.Register.TIMEOUT] * protocol.TIMEOUT_UNIT
-    yield from watchdog_checks(name, timeout, settings.period)
+    yield from watchdog_checks(joint, timeout, settings.period)
 
     feedback = motor.feedback
     if feedback is None:
@@ -293,11 +294,13 @@ def motor_checks(
         )
 
 
-def watchdog_checks(name: str, timeout: float, period: float) -> Iterator[Remark]:
+def watchdog_checks(
+    joint: DamiaoJoint, timeout: float, period: float
+) -> Iterator[Remark]:
     """Yield a finding where a watchdog's timeout [s] is too long, or ends between two cycles.
 
     Args:
-        name: the motor's name in the message.
+        joint: that the watchdog's motor drives.
         timeout: of the watchdog [s].
         period: length of a control cycle [s].
     """
@@ -308,8 +311,8 @@ def watchdog_checks(name: str, timeout: float, period: float) -> Iterator[Remark
     longest = 5.0
     # The timeout to propose, in tenths of a second.
     proposed = max(0.1, np.ceil(10.0 * least) / 10.0)
-    remedy = f"set it with motors setup --watchdog {proposed:g} --store"
-    watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
+    remedy = f"set it with motors setup --motor {joint.can_id} --watchdog {proposed:g} --store"
+    watchdog = f"{joint.label}'s watchdog of {1e3 * timeout:g} ms"
     if not least <= timeout <= longest:
         yield stop(
             f"{watchdog} is not from {1e3 * least:g} to {1e3 * longest:g} ms (0 is none: the "

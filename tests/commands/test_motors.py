@@ -111,11 +111,26 @@ def test_check_says_what_has_to_change_in_the_names_of_a_map(
     fault(1, TMAX=40, TIMEOUT=0)(bus)
     code, out, _ = run(capsys, "check", trajectory, CAN0, "--joint-map", table)
     assert code == 1 and "not DM4340!" in out and "3 to change before playing" in out
-    mode = "motor 1 (joint hip) is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)"
+    mode = "motor 1 (joint hip) is in mode 2 (POS_VEL); set it to MIT with motors"
     assert f"[STOP] {mode}" in out
     assert "[STOP] motor 2 (joint knee)'s watchdog of 0 ms" in out
     findings = [line for line in out.splitlines() if line.startswith("[")]
     assert all("motor 1 (joint hip)" in line for line in findings if "motor 1" in line)
+
+
+def test_what_has_to_change_is_changed_by_the_words_that_are_printed(
+    capsys, bus, trajectory
+):
+    fault(0, CTRL_MODE=2, TIMEOUT=0)(bus)
+    fault(1, MST_ID=0x15)(bus)
+    _, out, _ = run(capsys, "check", trajectory, CAN0)
+    words = re.findall(r"with motors (setup .*? --store)", out)
+    assert len(words) == 3
+    for setup in words:
+        succeed(capsys, setup, CAN0)
+    # The answer to the last one is still on this bus.
+    succeed(capsys, "setup", CAN0)
+    assert "ready to play" in succeed(capsys, "check", trajectory, CAN0)
 
 
 def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):

@@ -83,11 +83,12 @@ def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(n
 @pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
 @pytest.mark.parametrize("timeout", [0.0, 1e-3, 4.9, 20.0])
 def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, timeout):
-    for check in watchdog_checks("motor 1", timeout, 1.0 / rate):
+    (joint,) = damiao_joints(["DM4310"], 1)
+    for check in watchdog_checks(joint, timeout, 1.0 / rate):
         (advised,) = re.findall(r"--watchdog ([\d.]*\d)", check.text)
         # Refuses what cannot be given.
         given = record_from(SetupOptions, {"watchdog": float(advised)})
-        checks = watchdog_checks("motor 1", given.watchdog, 1.0 / rate)
+        checks = watchdog_checks(joint, given.watchdog, 1.0 / rate)
         assert severities(checks, "") in ([], [Level.SAYS])
 
 
