@@ -46,7 +46,7 @@ def test_a_motion_that_is_refused_is_played_after_a_smaller_one(command):
     printed = command.run("plan", GUESS, *first)
     assert "Usable: play it on the arm" in printed.out
     refused = play(command, Path("first"), code=3)
-    assert "joint1): the motion needs " in refused.err
+    assert "joint1): torque " in refused.err
 
     assert "a smaller motion first (see --for weight of plan)" in refused.err
     weighing = ("--for weight --output-dir first/weighing", *export)
