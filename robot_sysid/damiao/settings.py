@@ -41,14 +41,13 @@ def _within(least: float, most: float, unit: str) -> Check:
 class PlaySettings(OptionRecord):
     """Gains, speeds, limits and permissions of a run; ``for_motors`` completes gains and rate.
 
-    The text of each option describes it, with its unit. ``kp``, ``kd`` and ``max_torque_error`` are
-    empty (for defaults by motor type), or have one value for all joints or one per joint.
+    The text of each option describes it, with its unit. ``kp`` and ``kd`` are empty (for defaults
+    by motor type), or have one value for all joints or one per joint.
 
     Attributes:
         approach_speed: joint speed on the way to the first point, and when lowered [rad/s].
         start_tolerance: how far a joint may be from the first point [rad].
         max_speed_error: how much a joint may be faster or slower than commanded [rad/s].
-        max_torque_error: how far a joint's torque may be from the trajectory's [N m].
         max_temperature: of power stage and winding [degC].
         max_missed: number of unanswered commands in a row that stop the run; three cycles are a
             third of the shortest watchdog that is allowed.
@@ -106,7 +105,6 @@ class PlaySettings(OptionRecord):
     approach_speed: float = 0.2
     start_tolerance: float = 0.5
     max_speed_error: float = 1.0
-    max_torque_error: tuple[float, ...] = ()
     max_temperature: float = 80.0
     max_missed: int = 3
     max_lateness: float = 0.02
@@ -121,7 +119,7 @@ class PlaySettings(OptionRecord):
         timing: BusTiming,
         mobility: Array | None = None,
     ) -> PlaySettings:
-        """Return these settings with a cycle rate and one gain and torque limit for each motor.
+        """Return these settings with a cycle rate and one gain for each motor.
 
         With the default stiffness, an error of a twentieth of a radian makes rated torque: an arm
         whose model is wrong by a third of the rated torque sags by a degree. Where the arm's
@@ -148,18 +146,12 @@ class PlaySettings(OptionRecord):
         if mobility is not None:
             # With more damping, a joint's velocity would settle in less than a cycle.
             damping = np.minimum(damping, rate / np.diag(mobility))
-        defaults = {
-            "kp": stiffness,
-            "kd": np.clip(damping, least_damping, KD_MAX),
-            # More than any excitation needs.
-            "max_torque_error": np.array([spec.peak_torque for spec in specs]) / 1.5,
-        }
-        values: dict[str, Any] = {}
-        for name, default in defaults.items():
-            # An empty setting stands for the default.
-            setting = getattr(self, name) or tuple(default)
-            values[name] = tuple(joint_values(setting, len(specs), option_name(name)))
-        return replace(self, rate=rate, **values)
+        damping = np.clip(damping, least_damping, KD_MAX)
+        n = len(specs)
+        # An empty setting stands for the default.
+        kp = joint_values(self.kp or tuple(stiffness), n, option_name("kp"))
+        kd = joint_values(self.kd or tuple(damping), n, option_name("kd"))
+        return replace(self, rate=rate, kp=tuple(kp), kd=tuple(kd))
 
     @property
     def period(self) -> float:

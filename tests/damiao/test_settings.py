@@ -34,13 +34,10 @@ INERTIA = st.floats(1e-4, 10.0)
 @given(specs=SPECS, timing=TIMINGS)
 def test_what_is_left_open_suits_motors_and_bus(specs, timing):
     settings = PlaySettings().for_motors(specs, timing)
-    for spec, kp, kd, push in zip(
-        specs, settings.kp, settings.kd, settings.max_torque_error
-    ):
+    for spec, kp, kd in zip(specs, settings.kp, settings.kd):
         # A twentieth of a radian asks for rated torque, where a frame can carry that stiffness.
         assert kp == min(20.0 * spec.rated_torque, KP_MAX)
         assert kd == pytest.approx(min(max(kp / 40.0, 0.05), KD_MAX), rel=1e-12)
-        assert push == pytest.approx(2 / 3 * spec.peak_torque)
     assert settings.rate == default_rate(len(specs), timing)
     assert bus_load(len(specs), settings.rate, timing) <= PLANNING_LIMIT
     command = mit_command(kp=settings.kp, kd=settings.kd)

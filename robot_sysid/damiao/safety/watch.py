@@ -243,7 +243,8 @@ class Watch:
             ),
             (tau, commanded, 0.15 * peak + 4.0 * self._torque_step),
             (long_tau, long_commanded, 0.1 * long_commanded + torque_floor),
-            (tau, fed, settings.max_torque_error),
+            # More than any excitation needs.
+            (tau, fed, peak / 1.5),
             # A wrong model gets half of a change of the feed-forward torque wrong.
             (fed + added, fed + long_added, load + 0.5 * np.abs(fed - long_fed)),
         ]

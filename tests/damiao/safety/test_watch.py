@@ -27,7 +27,7 @@ HOLDING = HoldingCheck(JOINTS, lambda q: 8.0 * np.cos(q), torque_doubt(JOINTS))
 
 def watch(**settings):
     """A watch over two joints."""
-    settings = PlaySettings(**{"max_torque_error": (25.0,), **settings})
+    settings = PlaySettings(**settings)
     complete = settings.for_motors([j.spec for j in JOINTS], BusTiming())
     return Watch(JOINTS, complete, STEPS, PEAK, HOLDING)
 
