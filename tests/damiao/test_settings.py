@@ -92,9 +92,10 @@ def test_a_light_joint_is_damped_less(specs, timing, data):
         )
 
 
-def test_transfers_keep_the_limits_of_a_user():
+@pytest.mark.parametrize("owner", ["user_limits", "model_limits"])
+def test_transfers_keep_the_limits_of_user_and_model(owner):
     limits = Limits(velocity=np.array([0.1, 9.0]), acceleration=0.05)
-    settings = Plan(trajectory_of(swing(2)), user_limits=limits).settings
+    settings = Plan(trajectory_of(swing(2)), **{owner: limits}).settings
     begin = Reference(*np.zeros((3, 2)))
     for way in (0.01, 0.2, 0.5):
         target = begin._replace(position=np.full(2, way))
