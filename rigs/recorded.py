@@ -405,31 +405,36 @@ def excel(folder: Path, data: Recording) -> Path:
     return folder / "log.xlsx"
 
 
-def mcap_of_json(folder: Path, data: Recording) -> Path:
-    """An MCAP file of Foxglove's JointStates in JSON, and another topic."""
+def write_json_mcap(path: Path, messages: Iterable[tuple[str, int, Any]]) -> Path:
+    """An MCAP file of messages of JSON: their topic, time [ns] and object."""
     writer_class = pytest.importorskip("mcap.writer").Writer
-    path = folder / "json.mcap"
+    channels: dict[str, int] = {}
     with path.open("wb") as stream:
         writer = writer_class(stream)
         writer.start()
         schema = writer.register_schema("foxglove.JointStates", "jsonschema", b"{}")
-        channel = writer.register_channel("/joints", "json", schema)
-        other = writer.register_channel("/battery", "json", schema)
-        for time, *values in zip(data.time, data.q, data.qd, data.tau):
-            stamp = START_NS + round(1e9 * time)
-            seconds, nanoseconds = divmod(stamp, 10**9)
-            joints = []
-            for name, *numbers in zip(JOINTS, *(v.tolist() for v in values)):
-                joints.append({"name": name, **dict(zip(INTERFACES, numbers))})
-            message = {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
-            for topic, content in (
-                (channel, {"joints": joints}),
-                (other, {"volt": 24.0}),
-            ):
-                encoded = json.dumps({**message, **content}).encode()
-                writer.add_message(topic, stamp, encoded, stamp)
+        for topic, stamp, content in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "json", schema)
+            text = json.dumps(content).encode()
+            writer.add_message(channels[topic], stamp, text, stamp)
         writer.finish()
     return path
+
+
+def mcap_of_json(folder: Path, data: Recording) -> Path:
+    """An MCAP file of Foxglove's JointStates in JSON, and another topic."""
+    messages = []
+    for time, *values in zip(data.time, data.q, data.qd, data.tau):
+        stamp = START_NS + round(1e9 * time)
+        seconds, nanoseconds = divmod(stamp, 10**9)
+        joints = []
+        for name, *numbers in zip(JOINTS, *(v.tolist() for v in values)):
+            joints.append({"name": name, **dict(zip(INTERFACES, numbers))})
+        timed = {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
+        messages.append(("/joints", stamp, {**timed, "joints": joints}))
+        messages.append(("/battery", stamp, {**timed, "volt": 24.0}))
+    return write_json_mcap(folder / "json.mcap", messages)
 
 
 def mcap_of_protobuf(folder: Path, data: Recording) -> Path:

@@ -16,6 +16,7 @@ from rigs.log_files import (
     JOINTS,
     assert_read,
     assert_refused,
+    assert_samples,
     motion,
     read_measurements,
 )
@@ -214,18 +215,16 @@ def test_actions_are_commands(tmp_path):
 
 def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(h5py, tmp_path):
     path = tmp_path / "episode_0.hdf5"
+    goals = np.roll(DATA.q, 2, axis=0)
+    measured = {"qpos": DATA.q, "qvel": DATA.qd, "effort": DATA.tau}
+    arrays = {f"observations/{name}": values for name, values in measured.items()}
     with h5py.File(path, "w") as file:
-        for name, values in (("qpos", DATA.q), ("qvel", DATA.qd), ("effort", DATA.tau)):
-            wide = np.zeros((len(DATA), 14))
-            wide[:, [7, 8, 9]] = values
-            file[f"observations/{name}"] = wide
-        file["action"] = np.roll(file["observations/qpos"][()], 2, axis=0)
+        for name, values in {**arrays, "action": goals}.items():
+            file[name] = np.pad(values, ((0, 0), (7, 4)))
     names = ("right/waist", "right/shoulder", "right/elbow")
     log = read_measurements(path, names)
-    assert_array_equal(log.q, DATA.q)
-    assert_array_equal(log.tau, DATA.tau)
+    assert_samples(DATA, log, ("q", "tau"))
     assert_allclose(log.time, np.arange(len(DATA)) / 50.0, atol=1e-12)
-    command = read_measurements(path, names, commanded=True).command
-    assert_array_equal(command, np.roll(DATA.q, 2, axis=0))
+    assert_array_equal(read_measurements(path, names, commanded=True).command, goals)
     left = [name.replace("right", "left") for name in names]
     assert_refused("torque of joint left/waist is zero|at rest", path, left)

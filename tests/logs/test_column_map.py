@@ -92,6 +92,29 @@ def test_named_titles_go_to_their_joint_whatever_the_order(titles):
     assert where(recognise(titles, UR)) == ([3, 2, 1], [6, 5, 4])
 
 
+@pytest.mark.parametrize(
+    "title",
+    [
+        "/joint_states/panda_joint{}/{}",
+        "panda_joint{}_{}",
+        "{1} of lbr_A{0}",
+        "ur5e/j{}_link {}",
+    ],
+)
+def test_names_around_numbers_are_matched_as_a_whole_set(title):
+    """Columns of a finger and of another joint are not the arm's."""
+    titles = ["time", title.format("8_finger", "position"), "gripper_position"]
+    for quantity, number in product(("position", "effort"), (3, 1, 2)):
+        titles.append(title.format(number, quantity))
+    header = ",".join(titles)
+    columns = recognise(header, ("joint1", "joint2", "joint3"))
+    assert where(columns) == ([4, 5, 3], [7, 8, 6])
+    (note,) = columns.notes
+    assert "are joint1, joint2, joint3; not used: " in note
+    with refused("one position column .*each joint"):
+        recognise(header, ("joint1", "joint2", "joint3", "joint4"))
+
+
 UNITS = ("s", "m", "ms", "deg", "rad", "nm")
 NAME_PIECES = (*UNITS, "j2s7s300", "right", "s0", "e1", "7", "arm")
 

@@ -150,17 +150,12 @@ def test_a_sheet_without_titles_and_one_with_a_title_twice_are_refused(tmp_path)
 
 
 def test_topics_of_an_mcap_file_are_listed_where_none_or_several_fit(tmp_path):
-    writer_class = pytest.importorskip("mcap.writer").Writer
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = writer_class(stream)
-        writer.start()
-        for topic in ("/left", "/right"):
-            channel = writer.register_channel(topic, "json", 0)
-            for count, state in enumerate(STATES):
-                stamp = count * 5_000_000
-                writer.add_message(channel, stamp, json.dumps(state).encode(), stamp)
-        writer.finish()
+    messages = [
+        (topic, count * 5_000_000, state)
+        for topic in ("/left", "/right")
+        for count, state in enumerate(STATES)
+    ]
+    path = recorded.write_json_mcap(tmp_path / "log.mcap", messages)
     assert_refused("several topics have positions and torques: /left, /right", path)
     options = LogOptions(topic="/left")
     assert reader.open_table(path, JOINTS, options).layout == "MCAP, topic /left"

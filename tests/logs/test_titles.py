@@ -1,16 +1,10 @@
-"""Titles stand for the quantity that their words name, and for commands where these are read."""
+"""Titles stand for the quantity that their words name."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
-from rigs.log_files import assert_refused, motion, read_measurements, write
 from robot_sysid.logs.titles import read_title
-
-JOINTS4 = ("joint1", "joint2", "joint3", "joint4")
-
 
 COMMANDS = (
     "q_des[{}]",
@@ -35,30 +29,3 @@ COMMANDS = (
 )  # fmt: skip
 def test_a_title_stands_for_the_quantity_that_its_words_name(title, quantity):
     assert read_title(title, ("ref_joint", "joint1")).joint_quantity == quantity
-
-
-@pytest.mark.parametrize(
-    "title",
-    [
-        "/joint_states/panda_joint{}/{}",
-        "panda_joint{}_{}",
-        "{1} of lbr_A{0}",
-        "ur5e/j{}_link {}",
-    ],
-)
-def test_names_around_numbers_are_matched_as_a_whole_set(tmp_path, title):
-    """Columns of a finger and of another joint are not the arm's."""
-    data = motion()
-    numbers = (3, 1, 2)
-    titles = ["time", title.format("8_finger", "position"), "gripper_position"]
-    columns = [data.time, data.q[:, 0], data.q[:, 0]]
-    for quantity, values in (("position", data.q), ("effort", data.tau)):
-        titles += [title.format(k, quantity) for k in numbers]
-        columns += [values[:, k - 1] for k in numbers]
-    path = write(tmp_path / "log.csv", np.column_stack(columns), titles)
-    log = read_measurements(path, ("joint1", "joint2", "joint3"))
-    assert_array_equal(log.q, data.q)
-    assert_array_equal(log.tau, data.tau)
-    (note,) = [note for note in log.notes if note.startswith("log joints: ")]
-    assert "are joint1, joint2, joint3; not used: " in note
-    assert_refused("one position column .*each joint", path, JOINTS4)
