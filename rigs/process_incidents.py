@@ -77,6 +77,7 @@ class Incident:
         prepare: called in the program's process before it begins.
         bound: on the departure until the motors are off [rad].
         off_within: how long after it happened the motors are off [s].
+        brakes: whether the arm has come to rest when they are switched off.
     """
 
     name: str
@@ -86,17 +87,18 @@ class Incident:
     prepare: Callable | None = None
     bound: float = 0.05
     off_within: float = 2.5
+    brakes: bool = True
 
 
 UNDISTURBED = Incident("nothing", nothing, 0)
 INCIDENTS = (
-    Incident("stopped for 0.5 s", stop_for_half_a_second, 3, "late for a control cycle"),
-    Incident("killed", sending(signal.SIGKILL), -9, off_within=0.4),
+    Incident("stopped for 0.5 s", stop_for_half_a_second, 3, "late for a control", brakes=False),
+    Incident("killed", sending(signal.SIGKILL), -9, off_within=0.4, brakes=False),
     Incident("terminated", sending(signal.SIGTERM), 3, "stopped by SIGTERM"),
     Incident("hung up", sending(signal.SIGHUP), 3, "stopped by SIGHUP"),
     Incident("Ctrl-C", sending(signal.SIGINT), 3, "stopped by SIGINT"),
     Incident("Ctrl-Z", sending(signal.SIGTSTP), 3, "stopped by SIGTSTP"),
-    Incident("Ctrl-C twice", interrupt_twice, 3, "stopped by SIGINT", off_within=0.5),
+    Incident("Ctrl-C twice", interrupt_twice, 3, "stopped by SIGINT", off_within=0.5, brakes=False),
     Incident("console closed", close_console, 0, off_within=9.0),
     Incident("full disk", nothing, 3, "cannot record", small_files_only, off_within=9.0),
 )  # fmt: skip
@@ -109,6 +111,7 @@ class Result:
     Attributes:
         departure: how far a joint got from its path until the motors were off [rad].
         off_after: how long after it happened they were off [s].
+        end_speed: mean speed of the fastest joint in the last 50 ms before [rad/s].
         code: exit code of the program.
         words: all that it said.
     """
@@ -116,6 +119,7 @@ class Result:
     incident: Incident
     departure: float
     off_after: float
+    end_speed: float
     code: int
     words: str
 
@@ -195,4 +199,6 @@ def results_of(folder: Path, incidents=INCIDENTS) -> Iterator[Result]:
         until = min(run.disabled_at, run.time[-1])
         departure = float(np.max(departures(run, clean, until)))
         off_after = run.disabled_at - run.onset
-        yield Result(incident, departure, off_after, code, words)
+        is_last = (run.time > until - 0.05) & (run.time <= until)
+        end_speed = float(np.max(np.ptp(run.q[is_last], axis=0))) / 0.05
+        yield Result(incident, departure, off_after, end_speed, code, words)

@@ -3,8 +3,8 @@
     python -m rigs.realtime_arm TRAJECTORY --model MODEL [--joint NAME] [--watchdog S]
 
 It prints ``--channel DEVICE`` for the program that plays on it, and when it is ended how timely it
-was. With ``--frames FILE`` the ids and data of all received frames are written to a file, with
-``--truth FILE`` where the arm was: rows of time, number of enabled motors and positions.
+was. With ``--truth FILE`` it is written where the arm was: rows of time, number of enabled motors
+and positions.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigs.links import RememberingLink
 from robot_sysid.damiao.adapters import BusLink, read_in_pieces
 from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
 from robot_sysid.damiao.player import StopRequest
@@ -190,7 +189,6 @@ def main():
     parser.add_argument("--model", type=Path)
     parser.add_argument("--joint")
     parser.add_argument("--watchdog", type=float, default=0.1)
-    parser.add_argument("--frames", type=Path)
     parser.add_argument("--truth", type=Path)
     options, _ = parser.parse_known_args()
     played = read_damiao_trajectory(options.trajectory)
@@ -201,7 +199,6 @@ def main():
     terminal, device = slcan_terminal()
     stop = StopRequest()
     bus = BusLink(terminal, clock)
-    link = RememberingLink(bus, clock)
     truth = []
 
     def running():
@@ -211,13 +208,9 @@ def main():
 
     with contextlib.closing(bus), stop.on_signals():
         print(f"--channel {device}", flush=True)
-        report = serve(arm, link, clock, running)
+        report = serve(arm, bus, clock, running)
     if options.truth is not None:
         np.savetxt(options.truth, truth)
-    if options.frames is not None:
-        received = [frame for frame, was_sent in link.frames if not was_sent]
-        lines = [f"{frame.id} {frame.data.hex()}" for frame in received]
-        options.frames.write_text("\n".join(lines))
     if report.left_out > 0.0:
         print(f"this computer was too slow by {report.left_out:.1f} s in all")
     print(f"kept commands waiting for up to {1e3 * report.longest_delay:.0f} ms")

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import shlex
-import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -25,7 +22,7 @@ from rigs.damiao_rig import (
     trajectory_file,
     with_coarse_physics,
 )
-from rigs.realtime_arm import NEEDS_TERMINALS
+from rigs.realtime_arm import NEEDS_TERMINALS, arm_process
 from rigs.recordings import read_recording
 from robot_sysid import parser
 from robot_sysid.cli import main
@@ -315,106 +312,19 @@ def test_the_command_behind_a_rehearsal_identifies_the_simulated_arm(
 
 # --- real time ----------------------------------------------------------------------------------
 
-# Wide enough for most computers; one that has other things to do keeps time for what may go first.
-SLOWLY = ["--rate", "25", "--max-tracking-error", "1"]
-PROGRAM = (sys.executable, "-m", "robot_sysid", "motors")
-
-
-@contextlib.contextmanager
-def simulator(trajectory, model, watchdog="2"):
-    """A simulated arm in a process of its own; yields the device to reach it at."""
-    server = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "rigs.realtime_arm", trajectory),
-            *("--model", model),
-            *("--watchdog", watchdog, "--frames", trajectory.with_name("frames.txt")),
-        ],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        device = None
-        while device is None:
-            match = re.search(r"--channel (\S+)", server.stdout.readline())
-            device = match and match.group(1)
-        yield device
-    finally:
-        # Whoever ignores Ctrl-C, as in the background of a script, hears this.
-        server.send_signal(signal.SIGTERM)
-        assert server.wait(timeout=20) == 0
-        server.stdout.close()
-        server.stderr.close()
-
 
 @pytest.mark.realtime
 @NEEDS_TERMINALS
 def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
-    """What the user does: simulate in one terminal, play and stop it in the other."""
-    with simulator(trajectory, model, watchdog="5") as device:
-        play = [
-            *PROGRAM, "play", trajectory,
-            "--interface", "slcan", "--channel", device, *SLOWLY,
-            "--yes", "--record", tmp_path / "measured.csv",
-        ]  # fmt: skip
-        done = subprocess.run(play, capture_output=True, text=True, timeout=60)
-        assert done.returncode == 0, done.stderr
-        assert read_recording(tmp_path / "measured.csv").ending == "completed"
-
-
-def small_files_only():
-    import resource
-
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-
-
-@pytest.mark.realtime
-@NEEDS_TERMINALS
-@pytest.mark.parametrize("trouble", ["output closed", "disk full", "output held"])
-def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
-    model, tmp_path, trouble
-):
-    """The frames themselves show that each motor braked before it was disabled."""
-    trajectory = write_trajectory(tmp_path, swing(2, duration=6.0, amplitude=0.4))
+    """Slowly enough for most computers; ``test_incidents.py`` has what may happen meanwhile."""
     record = tmp_path / "measured.csv"
-    frames = tmp_path / "frames.txt"
-    with simulator(trajectory, model) as device:
-        play = subprocess.Popen(
-            [
-                *PROGRAM, "play", trajectory, "--yes",
-                "--interface", "slcan", "--channel", device, *SLOWLY, "--record", record,
-            ],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            preexec_fn=small_files_only if trouble == "disk full" else None,
-        )  # fmt: skip
-        try:
-            for line in play.stdout:
-                if line.startswith(b"playing"):
-                    break
-            if trouble == "output closed":
-                play.stdout.close()
-            if trouble != "disk full":
-                time.sleep(1.5)
-                play.send_signal(signal.SIGTERM)
-            _, err = play.communicate(timeout=30) if trouble != "output closed" else (
-                None, play.stderr.read())  # fmt: skip
-            assert play.wait(timeout=30) == 3
-        finally:
-            play.kill()
-            play.stderr.close()
-    message = (
-        b"cannot record: File too large"
-        if trouble == "disk full"
-        else b"stopped by SIGTERM"
-    )
-    assert message in err
-    if trouble != "disk full":
-        assert read_recording(record).ending.startswith("stopped: stopped by SIGTERM")
-        received = [line.split() for line in frames.read_text().splitlines()]
-        sent = [bytes.fromhex(data) for number, data in received if number in "12"]
-        disabled = sent.index(b"\xff" * 7 + b"\xfd")
-        # The commanded speed is the twelve bits after the position's sixteen; zero is the middle.
-        speeds = [
-            abs((data[2] << 4 | data[3] >> 4) - 2047.5) for data in sent[:disabled]
-        ]
-        commands = [v for v, data in zip(speeds, sent) if data[:7] != b"\xff" * 7]
-        assert max(commands[-2:]) < 0.1 * max(commands)
+    with arm_process([trajectory, "--model", model, "--watchdog", "5"]) as (device, _):
+        options = (
+            f"--interface slcan --channel {device} --rate 25 --yes --record {record}"
+        )
+        play = [sys.executable, "-m", "robot_sysid", "motors", "play", trajectory]
+        done = subprocess.run(
+            [*play, *options.split()], capture_output=True, text=True, timeout=60
+        )
+    assert done.returncode == 0, done.stderr
+    assert read_recording(record).ending == "completed"

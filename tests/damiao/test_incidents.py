@@ -47,4 +47,5 @@ def test_whatever_happens_to_the_program_the_motors_are_off_soon(tmp_path):
         assert result.code == incident.code, result
         assert result.departure < incident.bound, result
         assert result.off_after < incident.off_within, result
+        assert result.end_speed < 0.03 or not incident.brakes, result
         assert incident.words in result.message, result
