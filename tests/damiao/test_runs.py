@@ -400,7 +400,7 @@ TABLE = (
     Line("encoder slips 0.15 rad", fault(1, shift=0.15), SLOWLY, "what cannot be true"),
     Line("stall", lambda rig: rig.clock.stall(0.05), BRAKES, "late for a control cycle, limit 20"),
     Line("long stall", lambda rig: rig.clock.stall(0.2), TRIPS, "ms late for a control cycle"),
-    Line("adapter turns slow", slow_adapter(5e-3, 16e-3), BRAKES, "did not answer in time for"),
+    Line("adapter turns slow", slow_adapter(5e-3, 16e-3), SLOWLY, "did not answer in time"),
     Line("fault in the ramp", fault(0, status=0xA), "A1 A0 A0", "status A", FIRST, RAMP, 0.05),
     Line("fault on the way", fault(0, status=0xA), "A1 A0 A0", "status A", FIRST, WAY),
     Line("too much torque", ask_for_too_much, BRAKES, "motor 1 would be asked for"),

@@ -12,7 +12,8 @@ from robot_sysid.damiao.safety.plausibility import NO_STATUS, Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 
-# Answers or commands too many, a decaying count, that damaged frames do not explain.
+# What single damaged frames do not explain: missing answers, answers and commands too many, each
+# counted with a decay.
 _FEW = 2.5
 
 
@@ -33,10 +34,10 @@ class BusHealth:
         self._joints = joints
         self._settings = settings
         n_joints = len(joints)
-        # Number of commands in a row without an answer, of cycles, and of doubted answers.
-        self._missed, self.silent, self._doubted = np.zeros((3, n_joints), int)
-        self.total_missed = np.zeros(n_joints, int)
-        self._surplus, self._foreign = np.zeros((2, n_joints))
+        # Number of doubted answers in a row, and decaying counts (3, n) of commands without answer,
+        # answers without command, and commands of others.
+        self.silent, self._doubted, self.total_missed = np.zeros((3, n_joints), int)
+        self._counts = np.zeros((3, n_joints))
         self.failed = np.zeros(n_joints, bool)
 
     def update(self, replies: Replies) -> None:
@@ -45,18 +46,16 @@ class BusHealth:
         A motor that reports a fault is noted in ``failed``.
         """
         unanswered = replies.requested & ~replies.answered
-        doubted = self._doubted + replies.doubted
-        counts = [self._missed + unanswered, self.silent + 1, doubted]
-        self._missed, self.silent, self._doubted = np.where(replies.answered, 0, counts)
+        counts = [self.silent + 1, self._doubted + replies.doubted]
+        self.silent, self._doubted = np.where(replies.answered, 0, counts)
         self.total_missed += unanswered
-        # Counts decay: a single wrong one is a damaged frame.
-        self._surplus = 0.9 * self._surplus + replies.surplus
-        self._foreign = 0.9 * self._foreign + replies.foreign
+        events = np.array([unanswered, replies.surplus, replies.foreign])
+        self._counts = 0.95 * self._counts + events
         status = replies.feedback.status
         is_faulty = (status != ENABLED) & (status != NO_STATUS)
         # Where two motors answer on one id, the status may be the other motor's.
-        is_double = is_faulty & (self._surplus > 1.0)
-        self._surplus = np.where(is_double, np.inf, self._surplus)
+        is_double = is_faulty & (self._counts[1] > 1.0)
+        self._counts[1] = np.where(is_double, np.inf, self._counts[1])
         self.failed |= is_faulty & ~is_double
 
     def check(self, replies: Replies) -> None:
@@ -64,18 +63,19 @@ class BusHealth:
         settings = self._settings
         feedback = replies.feedback
         hot = feedback.temperature
+        lost, surplus, foreign = self._counts
         # A motor whose answer is missing is sent nothing for four cycles, see ``session.PAUSE``, so
         # commands alone would count too slowly.
-        is_silent = self._missed >= settings.max_missed
-        is_silent |= self.silent >= 2 * settings.max_missed
-        is_doubted = is_silent & (self._doubted >= settings.max_missed)
+        is_silent = self.silent >= 2 * settings.max_missed
+        is_lost = lost > settings.max_missed - 0.5
+        is_doubted = (is_silent | is_lost) & (self._doubted >= settings.max_missed)
         faults: tuple[tuple[Mask, str], ...] = (
             (
-                self._foreign > _FEW,
+                foreign > _FEW,
                 "gets commands of another program: end it; one master moves an arm",
             ),
             (
-                self._surplus > _FEW,
+                surplus > _FEW,
                 "answers more often than it is asked: a second motor has its id, or another "
                 "program commands it",
             ),
@@ -86,6 +86,7 @@ class BusHealth:
                 "encoder is not sound, or another motor has its id",
             ),
             (is_silent, "did not answer in time for {silent} cycles"),
+            (is_lost, "did not answer in time again and again"),
             (
                 replies.answered & (hot > settings.max_temperature),
                 "is at {hot} deg C, limit {limit:g}",

@@ -170,7 +170,7 @@ class Watch:
             shift = self._shift(time, feedback.position, feedback.velocity, commanded)
             if shift is not None:
                 j, angle = shift
-                q = feedback.position[j]
+                q = self._last[1, j]
                 self._raise(j, _SHIFTED.format(q, q + angle))
 
     def _average(
@@ -285,8 +285,8 @@ class Watch:
         led_by, turned_by = np.abs(command - self._repeats_since)
         is_led = (led_by > 20.0 * self._position_step) & (self._repeats >= 3)
         follows = np.abs(commanded - feedback.torque) < 0.075 * self._peak
-        # Twice the doubt overcomes dry friction.
-        is_frozen = is_led & follows & (turned_by > 2.0 * self._doubt)
+        # A joint that turns round stands still until twice its friction is overcome.
+        is_frozen = is_led & follows & (turned_by > 4.0 * self._doubt)
         self._stale |= is_led & ~follows
         self.stuck |= is_frozen
         self.to_switch_off |= is_frozen

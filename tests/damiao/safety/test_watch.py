@@ -74,19 +74,26 @@ def test_a_fault_that_a_motor_reports_is_named(values, words):
     assert words in words_of(stand(1, **values))
 
 
-@pytest.mark.parametrize(("requested", "cycles"), [(True, 3), (False, 6)])
-def test_a_motor_may_be_silent_for_so_long_and_no_longer(requested, cycles):
-    """Three commands without an answer, or six cycles where it was not commanded."""
+def test_a_motor_may_be_silent_for_so_long_and_no_longer():
+    """Six cycles in which it is not commanded, because the answer to the first one is missing."""
 
     def silent(count):
-        for replies, command in stand(count, answered=False):
-            yield replace(replies, requested=np.array([True, requested])), command
+        for k, (replies, command) in enumerate(stand(count, answered=False)):
+            yield replace(replies, requested=np.array([True, k == 0])), command
 
-    gaps = [*silent(cycles - 1)]
+    gaps = [*silent(5)]
     assert words_of(gaps) is None
-    assert words_of([*gaps, *stand(1), *gaps]) is None
-    words = words_of(silent(cycles))
-    assert f"motor 2 did not answer in time for {cycles} cycles" in words
+    assert words_of([*gaps, *stand(20), *gaps]) is None
+    assert "motor 2 did not answer in time for 6 cycles" in words_of(silent(6))
+
+
+def test_a_motor_whose_answers_come_late_again_and_again_is_stopped():
+    """Each fifth command is answered as late as the next one is sent."""
+    cycles = [*stand(4, answered=False), *stand(1)]
+    for k, (replies, command) in enumerate(cycles[:4]):
+        cycles[k] = replace(replies, requested=np.array([True, k == 0])), command
+    assert words_of(cycles * 2) is None
+    assert "motor 2 did not answer in time again and again" in words_of(cycles * 15)
 
 
 @pytest.mark.parametrize(
@@ -133,6 +140,8 @@ def swing(
         if time < frozen_after:
             q = p + off(time)
             qd = v + (off(time + 1e-6) - off(time)) / 1e-6
+        else:
+            qd = 0.0
         commanded = command.motor_torque(np.array([0.0, q]), np.array([0.0, qd]))[1]
         is_wrong = time >= since
         answered = np.array([True, random.random() >= misses])
