@@ -45,7 +45,9 @@ from rigs.fault_bench import (
     SecondMaster,
     SetUp,
     damage_cases,
+    held_torque,
     hold_cases,
+    load_of,
     outcomes_of,
 )
 from rigs.places import ROOT
@@ -183,11 +185,18 @@ FAULT_COLUMNS = (
 )
 HOLD_COLUMNS = (
     ("fault", lambda o: o.name),
+    ("shoulder", lambda o: o.setup.shoulder),
     ("kp", lambda o: f"{o.setup.kp:g}"),
     ("pose", lambda o: str(o.setup.pose)),
+    ("can hold [N m]", lambda o: f"{held_torque(o):.1f}"),
+    ("load [N m]", lambda o: f"{load_of(o.setup):.1f}"),
     _DELAY,
     ("off before and after [rad]", lambda o: f"{o.figures['departure']:.3f}"),
     ("fall after the stop [rad]", lambda o: f"{o.figures['own fall']:.3f}"),
+    ("least possible", lambda o: f"{o.figures.get('least fall', 0.0):.3f}"),
+    ("disabled at once", lambda o: f"{o.figures.get('disabled fall', 0.0):.3f}"),
+    ("its speed [rad/s]", lambda o: f"{o.figures['own speed']:.2f}"),
+    ("disabled", lambda o: f"{o.figures.get('disabled speed', 0.0):.2f}"),
     ("others' fall [rad]", lambda o: f"{o.figures['others fall']:.3f}"),
     ("others' speed [rad/s]", lambda o: f"{o.figures['others speed']:.2f}"),
     ("0.1 s later [rad/s]", lambda o: f"{o.figures['others later speed']:.2f}"),

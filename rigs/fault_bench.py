@@ -33,6 +33,7 @@ from rigs.damiao_rig import (
 from rigs.places import GUESS, TRUTH
 from rigs.wrong_arms import resting_torque
 from robot_sysid.damiao import protocol
+from robot_sysid.damiao.joints import motor_spec
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
 from robot_sysid.damiao.safety.holding import gravity_check
 from robot_sysid.damiao.settings import Plan, PlaySettings
@@ -60,6 +61,8 @@ MOTOR_TYPES = ["DM8009", "DM10010L", "DM8009", "DM8009", "DM4340", "DM4340", "DM
 """Types of the motors of the Kinova arm, base to terminal."""
 SHOULDER_LOAD = 20.0, 33.0
 """Least and most gravity on the most loaded joint in poses that count as loaded [N m]."""
+SHOULDER = 1
+WRIST = 5
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class SetUp:
         model_is_given: whether the player has that model too.
         park: where the arm is left; None where it ends.
         kp: stiffness of all joints [N m/rad]; None: by motor type.
+        shoulder: type of the motor of the loaded joint.
+        load: least and most gravity on this joint in loaded poses [N m].
         pose: number of the loaded pose around which it moves.
         stands: whether the trajectory stands still in that pose.
     """
@@ -80,9 +85,16 @@ class SetUp:
     park: str | None = None
     rate: float = 250.0
     kp: float | None = None
+    shoulder: str = MOTOR_TYPES[SHOULDER]
+    load: tuple[float, float] = SHOULDER_LOAD
     pose: int = 0
     stands: bool = False
     duration: float = DURATION
+
+    @property
+    def motor_types(self):
+        """Types of the motors, base to terminal."""
+        return [*MOTOR_TYPES[:SHOULDER], self.shoulder, *MOTOR_TYPES[SHOULDER + 1 :]]
 
     @property
     def watchdog(self):
@@ -113,22 +125,24 @@ def robot_of(belief):
 
 
 @cache
-def loaded_poses(count=5):
-    """Return poses (count, n) in which gravity loads the arm's shoulder [rad]."""
+def loaded_poses(load=SHOULDER_LOAD, count=5):
+    """Return poses (count, n) [rad] by the gravity on the arm's shoulder [N m]."""
     robot = robot_of("truth")
-    least, greatest = SHOULDER_LOAD
+    least, greatest = load
     lower = np.maximum(robot.limits.lower, -1.8) + 0.6
     upper = np.minimum(robot.limits.upper, 1.8) - 0.6
     q = np.random.default_rng(7).uniform(lower, upper, (4000, robot.n_joints))
-    load = np.max(np.abs(resting_torque(robot, q, robot.thetas)), axis=1)
-    return q[(load > least) & (load < greatest)][:count]
+    gravity = np.abs(resting_torque(robot, q, robot.thetas))
+    weight = gravity[:, SHOULDER]
+    is_most_loaded = np.argmax(gravity, axis=1) == SHOULDER
+    return q[is_most_loaded & (least < weight) & (weight < greatest)][:count]
 
 
-def loaded_joint(setup):
-    """Return the joint on which gravity pulls most in a set-up's pose."""
+def load_of(setup):
+    """Return gravity's torque on the shoulder in a set-up's pose [N m]."""
     robot = robot_of("truth")
-    pose = loaded_poses()[setup.pose][None]
-    return int(np.argmax(np.abs(resting_torque(robot, pose, robot.thetas))))
+    pose = loaded_poses(setup.load)[setup.pose][None]
+    return abs(resting_torque(robot, pose, robot.thetas)[0, SHOULDER])
 
 
 def multi_sine(pose, duration, stands=False):
@@ -150,11 +164,12 @@ def multi_sine(pose, duration, stands=False):
 def plan_of(setup):
     """Return the plan of a set-up, with the inertias of the model if there is one."""
     robot = robot_of(setup.belief)
-    motion = multi_sine(loaded_poses()[setup.pose], setup.duration, setup.stands)
+    pose = loaded_poses(setup.load)[setup.pose]
+    motion = multi_sine(pose, setup.duration, setup.stands)
     tau = np.asarray(ArmDynamics(robot)(motion))
     names = robot.joint_names if setup.model_is_given else ()
     signals = motion.time, motion.q, motion.qd, tau
-    trajectory = trajectory_of(signals, *MOTOR_TYPES, names=names)
+    trajectory = trajectory_of(signals, *setup.motor_types, names=names)
     stiffness = {} if setup.kp is None else {"kp": (setup.kp,)}
     settings = PlaySettings(rate=setup.rate, park=setup.park, **stiffness)
     timing = BusTiming(fd=setup.rate > FASTEST_CLASSIC)
@@ -366,12 +381,13 @@ class Outcome:
     """What came of a fault.
 
     Attributes:
-        figures: greatest values of all joints; "own ..." is that of the joint at fault, if one is
-            named, and "others ..." that of the other ones: where a motor has lost its supply, no
-            software keeps its own joint. "departure" is the distance from the undisturbed run's
-            path, from the onset until a second after the stop began, while motors were enabled
-            [rad]; "fall" that after the stop began from where it was then [rad]; "speed" that after
-            the stop began, "later speed" later than ``LATER`` after that [rad/s].
+        figures: those of ``_other_ends``, and greatest values of all joints; "own ..." is that of
+            the joint at fault, if one is named, and "others ..." that of the other ones: where a
+            motor has lost its supply, no software keeps its own joint. "departure" is the distance
+            from the undisturbed run's path, from the onset until a second after the stop began,
+            while motors were enabled [rad]; "fall" that after the stop began from where it was then
+            [rad]; "speed" that after the stop began, "later speed" later than ``LATER`` after that
+            [rad/s].
         energy_gain: most that the mechanical energy rose after the stop began [J].
         stop_delay: from the onset to the beginning of the stop [s]; None without a stop.
         ending: "stopped", "completed", "refused" (before anything moved) or "ended" by the bench.
@@ -427,6 +443,38 @@ def departures(record, clean, until):
     return departure
 
 
+def _other_ends(case, record):
+    """Return how far and how fast a weak motor's joint would get in two other stops.
+
+    In the first its motor gives its most at once, while nothing else moves: how far it then gets
+    until it stands, no stop by this motor can do better than [rad]. In the second all motors are
+    disabled at once, and their windings brake [rad, rad/s]. Both last as long as what is observed.
+    """
+    share = getattr(case.cause, "values", {}).get("torque_share", 0.0)
+    types = [motor_spec(name) for name in case.setup.motor_types]
+    peak = np.array([spec.peak_torque for spec in types])
+    joint = np.arange(len(peak)) == case.joint
+    brake = np.where(joint, share, 1.0) * 0.5 * peak
+    at_stop = np.searchsorted(record.time, record.stop_at)
+    most = -np.sign(record.qd[at_stop, joint]) * share * peak * joint
+    ends = {}
+    for name, torque, damping in (
+        ("least", most, np.where(joint, 0.0, JAMMED)),
+        ("disabled", 0.0 * peak, brake),
+    ):
+        arm = ArmStepper(robot_of("truth"), record.q[at_stop], PHYSICS_STEP)
+        arm.qd = record.qd[at_stop].copy()
+        speeds = []
+        while len(speeds) * PHYSICS_STEP < OBSERVED:
+            arm.step(torque, damping)
+            speeds.append(np.abs(arm.qd[joint]).max(initial=0.0))
+            if name == "least" and np.all(arm.qd * most >= 0.0):
+                break
+        fall = np.abs(arm.q - record.q[at_stop])[joint].max(initial=0.0)
+        ends |= {f"{name} fall": float(fall), f"{name} speed": max(speeds)}
+    return ends
+
+
 def _ending(record):
     if record.was_ended:
         return "ended"
@@ -451,7 +499,7 @@ def judged_outcome(case, record, clean):
         "later speed": np.abs(record.qd[is_later]).max(axis=0, initial=0.0),
     }
     is_other = np.arange(record.q.shape[1]) != case.joint
-    figures = {}
+    figures = _other_ends(case, record) if record.stop_at else {}
     for name, joint_values in values.items():
         figures[name] = float(joint_values.max())
         figures[f"others {name}"] = float(joint_values[is_other].max())
@@ -477,8 +525,6 @@ _FOREIGN_PERIOD = 0.01
 UNDER_VOLTAGE = 0x9
 JAMMED = 1e5
 """Damping of a joint that is jammed [N m s/rad]."""
-SHOULDER = 1
-WRIST = 5
 
 
 def lost_motor(joint):
@@ -676,16 +722,32 @@ def _size(name, size, joint, random):
     return int(random.integers(21 * 8)) if size == "any" else size
 
 
+SHOULDERS = {
+    MOTOR_TYPES[SHOULDER]: SHOULDER_LOAD,
+    "DM8009": SHOULDER_LOAD,
+    "DM4340": (12.4, 12.8),
+}
+"""Motors of the shoulder of an arm that is held still, and how gravity loads it [N m]."""
+
+
 def hold_cases():
     """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
+    causes = {
+        f"weak motor, {share}": shoulder(torque_share=share)
+        for share in (0.5, 0.6, 0.7, 0.8)
+    }
+    causes["motor lost"] = lost_motor(SHOULDER)
     cases = []
-    for kp, pose in itertools.product((60.0, 180.0), range(5)):
-        setup = SetUp("truth", kp=kp, pose=pose, stands=True, duration=2.5)
-        joint = loaded_joint(setup)
-        for name, cause in (
-            ("weak motor, half", fault(joint, torque_share=0.5)),
-            ("weak motor, 0.6", fault(joint, torque_share=0.6)),
-            ("motor lost", lost_motor(joint)),
-        ):
+    grid = itertools.product(SHOULDERS.items(), (60.0, 180.0), range(5))
+    for (type_name, load), kp, pose in grid:
+        options = {"kp": kp, "shoulder": type_name, "load": load, "pose": pose}
+        setup = SetUp("truth", stands=True, duration=2.5, **options)
+        for name, cause in causes.items():
             cases.append(Case(name, cause, setup=setup, after=1.0))
     return cases
+
+
+def held_torque(outcome):
+    """Return what the motor of a case of ``hold_cases`` can hold [N m]."""
+    share = outcome.name.partition("weak motor, ")[2]
+    return float(share or 0.0) * motor_spec(outcome.setup.shoulder).peak_torque

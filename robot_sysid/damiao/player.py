@@ -24,11 +24,8 @@ from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
 from robot_sysid.damiao.protocol import KD_STEP, MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
-    LONGEST_LOWERING,
     Activity,
-    CarriedStop,
     Follower,
-    Lowering,
     Reference,
     ReferenceFunction,
     hold_reference,
@@ -36,6 +33,7 @@ from robot_sysid.damiao.references import (
 )
 from robot_sysid.damiao.safety.holding import HoldingCheck
 from robot_sysid.damiao.safety.plausibility import Replies
+from robot_sysid.damiao.safety.stopping import LONGEST_LOWERING, CarriedStop, Lowering
 from robot_sysid.damiao.safety.watch import Watch
 from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
 from robot_sysid.damiao.settings import PlaySettings
@@ -242,9 +240,8 @@ class Player:
         """
         if not self._holding.is_model:
             self._session.open_range()
-        limits = self._session.limits
         speed = self._settings.approach_speed
-        lowering = Lowering(begin, speed, limits.torque, limits)
+        lowering = Lowering(begin, speed, self._session.limits)
         lowering.stiffness = self._follower.stiffness
         return lowering
 
@@ -401,7 +398,7 @@ class Player:
             stuck=observer.stuck,
             limits=self._session.limits,
         )
-        carried.stiffness = np.where(is_loose, 0.0, 1.0)
+        carried.stiffness = np.where(is_loose, 0.0, carried.stiffness)
         return carried
 
     def _stop_phase(self, reference: Follower, duration: float) -> None:

@@ -13,12 +13,10 @@ import pytest
 from rigs.fault_bench import (
     CASES,
     DAMAGES,
-    SHOULDER,
     Case,
     SetUp,
     damage_cases,
     hold_cases,
-    loaded_joint,
     outcomes_of,
 )
 from rigs.places import ROOT
@@ -32,7 +30,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def outcomes():
     """What came of all cases, by name: their runs branch off one undisturbed run."""
-    assert loaded_joint(SetUp()) == SHOULDER
     nothing = Case("nothing", lambda run: None, after=4.0)
     return {outcome.name: outcome for outcome in outcomes_of([*CASES, nothing])}
 
@@ -77,39 +74,46 @@ def test_one_damaged_frame_moves_no_joint_far_from_its_path(setup):
 
 
 HOLDS = [
-    ("weak", 60.0, (0,)),
-    ("weak", 180.0, (2,)),
-    ("lost", 60.0, (1,)),
-    ("lost", 180.0, (3,)),
+    ("weak motor, 0.5", "DM10010L", 60.0, (0,)),
+    ("weak motor, 0.6", "DM8009", 180.0, (2,)),
+    ("weak motor, 0.6", "DM4340", 60.0, (3,)),
+    ("motor lost", "DM10010L", 60.0, (1,)),
+    ("motor lost", "DM10010L", 180.0, (3,)),
     *(
-        pytest.param(fault, kp, poses, id=f"{IN_DEPTH}_{fault}_{kp}")
-        for fault, poses in (("weak", (0, 2)), ("lost", (1, 3)))
+        pytest.param(fault, "DM10010L", kp, poses, id=f"{IN_DEPTH}_{fault}_{kp}")
+        for fault, poses in (("weak motor, 0.5", (0, 2)), ("motor lost", (1, 3)))
         for kp in (60.0, 180.0)
     ),
 ]
-"""Faults of an arm that is held still: a soft and a stiff arm, or both in both poses."""
+"""Faults of an arm that is held still, its shoulder's motor, stiffness and poses."""
 HOLD_BOUNDS = {
     "weak": {"own fall": 0.1, "others speed": 0.35},
-    "lost": {"others fall": 0.06, "others speed": 1.0, "others later speed": 0.4},
+    "motor": {"others fall": 0.06, "others speed": 1.0, "others later speed": 0.4},
 }
-ENERGY_BOUNDS = {"weak": 0.05, "lost": 0.12}
+ENERGY_BOUNDS = {"weak": 0.05, "motor": 0.12}
 
 
-@pytest.mark.parametrize(("fault", "kp", "poses"), HOLDS)
-def test_a_stop_carries_the_arm_and_gives_it_no_energy(fault, kp, poses):
+@pytest.mark.parametrize(("fault", "shoulder", "kp", "poses"), HOLDS)
+def test_a_stop_carries_the_arm_and_gives_it_no_energy(fault, shoulder, kp, poses):
     """A stop that moved the reference to a weak motor's joint let it fall by 0.8 rad at kp 60.
 
-    A lost motor's own joint swings at 6 rad/s and throws the others: to 0.9 rad/s before it is
-    noticed.
+    A weak motor's joint gets hardly farther than if its motor gave its most at once: the DM4340's
+    fell by 0.22 rad when only stiffness raised its torque. A lost motor's own joint swings at 6
+    rad/s and throws the others: to 0.9 rad/s before it is noticed.
     """
-    cases = []
-    for case in hold_cases():
-        if fault in case.name and case.setup.kp == kp and case.setup.pose in poses:
-            cases.append(replace(case, setup=replace(case.setup, duration=1.5)))
+    cases = [
+        replace(case, setup=replace(case.setup, duration=1.5))
+        for case in hold_cases()
+        if (case.name, case.setup.shoulder, case.setup.kp) == (fault, shoulder, kp)
+        and case.setup.pose in poses
+    ]
     outcomes = list(outcomes_of(cases))
-    assert len(outcomes) == len(poses) * (2 if fault == "weak" else 1)
+    assert len(outcomes) == len(poses)
+    kind = fault.split()[0]
     for outcome in outcomes:
         assert outcome.ending == "stopped", outcome
-        assert outcome.energy_gain < ENERGY_BOUNDS[fault], outcome
-        for quantity, bound in HOLD_BOUNDS[fault].items():
+        assert outcome.energy_gain < ENERGY_BOUNDS[kind], outcome
+        for quantity, bound in HOLD_BOUNDS[kind].items():
             assert outcome.figures[quantity] < bound, outcome
+        if kind == "weak":
+            assert outcome.figures["own fall"] < outcome.figures["least fall"] + 0.03

@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from rigs.damiao_rig import swing, trajectory_of
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import (
-    CarriedStop,
-    Lowering,
     Reference,
     trajectory_reference,
     transfer_reference,
 )
 from robot_sysid.damiao.safety.holding import HoldingCheck, torque_doubt
+from robot_sysid.damiao.safety.stopping import CarriedStop, Lowering
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.records import Limits
 
@@ -69,8 +68,8 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(
 def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     """A torque that never goes away, as of a joint that lies on its stop, does not lead it on."""
     begin = Reference(np.array([0.4, 0.0]), np.zeros(2), np.array([3.0, 0.0]))
-    command_range = Limits(-0.1, 1.0, 9.0)
-    lowering = Lowering(begin, 0.2, np.full(2, 27.0), command_range)
+    command_range = Limits(-0.1, 1.0, 9.0, torque=27.0)
+    lowering = Lowering(begin, 0.2, command_range)
     lowering.follow(np.zeros(2), np.zeros(2), np.array([9.0, 0.0]))
     moments = np.arange(0.0, 8.0, 0.004)
     references = [lowering(moment) for moment in moments]
@@ -106,12 +105,14 @@ SPEEDS = st.tuples(*[st.floats(-3.0, 3.0)] * 2)
 
 @given(q=STOP_ANGLES, v=SPEEDS, off=STOP_ANGLES)
 def test_it_begins_where_the_joints_were_led_and_ends_at_rest(q, v, off):
-    """However far the joints are from it: what held them goes on."""
+    """However far the joints are from it: what held them goes on, with more stiffness."""
     q, v, off = (np.array(x) for x in (q, v, off))
     path = stop(q, v, (1.0, 2.0), q - off, v)
     begin = path(0.0)
     np.testing.assert_allclose(begin.position, q, atol=1e-12)
-    np.testing.assert_allclose(begin.torque, [1.0, 2.0], atol=1e-12)
+    held = KP * off + [1.0, 2.0]
+    np.testing.assert_allclose(pull(path, begin, q - off), held, atol=1e-9)
+    assert np.all(path.stiffness >= 1.0)
     if path.duration > 0.0:
         np.testing.assert_allclose(begin.velocity, v, atol=1e-12)
     path.follow(q - off + 0.5 * v * path.duration, v, 0.0 * v)
@@ -129,9 +130,10 @@ def step_by_step(path, q, seconds):
     return reference
 
 
-def pull(reference, q):
-    """What motors make of a reference at q (2,), standing still [N m]."""
-    return KP * (reference.position - np.array(q)) + reference.torque
+def pull(path, reference, q):
+    """What motors make of a reference of a path at q (2,), standing still [N m]."""
+    distance = reference.position - np.array(q)
+    return KP * path.stiffness * distance + reference.torque
 
 
 LEANING = (0.0, -0.05)
@@ -144,22 +146,59 @@ def leaning(**more):
 
 def test_what_leans_on_an_obstacle_is_given_back():
     path = leaning()
-    assert pull(path(0.0), LEANING)[1] == pytest.approx(12.0)
+    assert pull(path, path(0.0), LEANING)[1] == pytest.approx(12.0)
     end = step_by_step(path, LEANING, 2.0)
-    assert pull(end, LEANING)[1] == pytest.approx(3.0, abs=0.05)
+    assert pull(path, end, LEANING)[1] == pytest.approx(3.0, abs=0.05)
 
 
 def test_what_a_sagging_joint_needs_is_kept():
     """It begins to sink as soon as a part of its torque is given back."""
     path = leaning()
-    pull_before = pull(step_by_step(path, LEANING, 0.1), LEANING)[1]
+    pull_before = pull(path, step_by_step(path, LEANING, 0.1), LEANING)[1]
     sunk = (0.0, -0.062)
-    assert pull(step_by_step(path, sunk, 3.0), sunk)[1] > pull_before
+    assert pull(path, step_by_step(path, sunk, 3.0), sunk)[1] > pull_before
 
 
 def test_a_joint_that_stands_against_its_motor_is_pushed_no_more_at_once():
     path = leaning(stuck=(False, True))
-    assert pull(path(0.0), LEANING)[1] == pytest.approx(3.0)
+    assert pull(path, path(0.0), LEANING)[1] == pytest.approx(3.0)
+
+
+SINKING = {"qd": (0.0, -0.3), "q": LEANING}
+
+
+def test_a_sinking_joint_is_fed_its_load_twice_until_it_stands():
+    """Even if it sinks again: it then has what stiffness gives it."""
+    path = stop(torque=(2.0, 3.0), **SINKING)
+    torques = []
+    for k, depth in enumerate((0.05, 0.051, 0.051, 0.055)):
+        path.follow(np.array([0.0, -depth]), np.zeros(2), np.zeros(2))
+        torques.append(pull(path, path(k * PERIOD), (0.0, -depth))[1])
+    held = 3.0 + KP * 0.05
+    assert torques[0] == pytest.approx(held + 3.0)
+    assert torques[1] > torques[0]
+    assert held < torques[2] < torques[1] - 2.9 and torques[3] < held + 9.0
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"qd": (0.0, 0.3)},
+        {"q": (0.0, 0.05)},
+        {"velocity": (0.0, -0.3)},
+        {"stuck": (False, True)},
+        {"torque": (2.0, -3.0)},
+    ],
+)
+def test_only_a_joint_that_sinks_is_fed_more(other):
+    """Not one that rises, is above its path, is led down, is blocked, or presses upwards."""
+    options = {**SINKING, "torque": (2.0, 3.0), **other}
+    path = stop(**options)
+    q = np.array(options["q"])
+    is_stuck = options.get("stuck", (False, False))[1]
+    held = np.array(options["torque"]) - KP * q * (not is_stuck)
+    velocity_part = 0.25 * KD * (path(0.0).velocity - np.array(options["qd"]))
+    np.testing.assert_allclose(pull(path, path(0.0), q), held + velocity_part)
 
 
 def test_an_unknown_place_is_held_as_it_was():
@@ -210,7 +249,8 @@ def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
         command = commands.pop(0)
         for _ in range(round(PERIOD / step)):
             push = spring * (link_q - q)
-            torque = KP * (command.position - q) + command.torque + push
+            torque = KP * path.stiffness * (command.position - q)
+            torque += command.torque + push
             qd = (qd + step / motor_inertia * torque) / (
                 1.0 + step * KD / motor_inertia
             )
