@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
-    "robot_sysid/logs": 24762,
+    "robot_sysid/logs": 24757,
     "robot_sysid/mjcf": 7074,
     "robot_sysid/model": 8673,
     "robot_sysid/motion": 14874,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3715,
     "robot_sysid": 11124,
-    "tests": 234779,
+    "tests": 234764,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

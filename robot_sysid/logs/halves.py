@@ -21,12 +21,14 @@ from robot_sysid.signals.resampling import bridged_hole, sampling_period
 
 @dataclass(frozen=True, eq=False)
 class _Half:
-    """A log as a table, its column of time, and the indices of others; empty for none."""
+    """A log as a table, its column of time, and the indices of others; empty for none.
+
+    Velocities are with positions.
+    """
 
     table: LogTable
     time: Sequence[Column]
     position: Sequence[int]
-    velocity: Sequence[int]
     torque: Sequence[int]
 
 
@@ -84,19 +86,16 @@ def _find(table: LogTable, robot: RobotModel, choices: ColumnChoices) -> _Half:
         return found if len(found) >= robot.n_joints else []
 
     driven = ["command"] if choices.commanded else ["torque", "current"]
-    return _Half(
-        table,
-        finder.recognise("time"),
-        indices("position"),
-        indices("velocity"),
-        indices(*driven),
-    )
+    position = indices("position")
+    if position:
+        position += indices("velocity")
+    return _Half(table, finder.recognise("time"), position, indices(*driven))
 
 
 def _join(position: _Half, torque: _Half) -> LogTable:
     """Return the rows of a table of positions beside those of a table of torques."""
     q_time, tau_time = ([c.index for c in half.time] for half in (position, torque))
-    q_columns = [*q_time, *position.position, *position.velocity]
+    q_columns = [*q_time, *position.position]
     tau_columns = [*tau_time, *torque.torque]
     q = position.table.cells(q_columns)
     tau = torque.table.cells(tau_columns)

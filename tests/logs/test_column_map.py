@@ -48,11 +48,6 @@ def factors(columns) -> list[float]:
     return [column.factor for column in columns]
 
 
-def titled(quantity: str) -> list[str]:
-    """The titles of a quantity of three joints in a Damiao recording."""
-    return [f"j{joint}_{quantity}" for joint in range(3)]
-
-
 @pytest.mark.parametrize(
     "titles",
     [
@@ -180,7 +175,7 @@ def test_a_log_that_lists_its_joints_in_another_order_is_never_counted(
 
 
 def test_the_columns_of_a_damiao_recording_are_known():
-    extra = (
+    extra = [
         "time",
         "cmd_pos",
         "cmd_vel",
@@ -188,14 +183,12 @@ def test_the_columns_of_a_damiao_recording_are_known():
         "status",
         "temp_mos",
         "temp_rotor",
-    )
+    ]
     titles = ["time", *trajectory_columns(3)]
-    for joint, quantity in product(range(3), extra):
-        titles.append(f"j{joint}_{quantity}")
+    titles += [f"j{joint}_{name}" for joint, name in product(range(3), extra)]
     columns = recognise(",".join(titles), ("joint1", "joint2", "joint3"))
-    expected = ["time"]
-    for quantity in ("pos", "tau", "vel", "time"):
-        expected += titled(quantity)
+    used = product(("pos", "tau", "vel", "time"), range(3))
+    expected = ["time", *(f"j{joint}_{name}" for name, joint in used)]
     assert list(map(attrgetter("title"), columns.columns())) == expected
 
 
