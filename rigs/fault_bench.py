@@ -456,7 +456,7 @@ def _other_ends(case, record):
     joint = np.arange(len(peak)) == case.joint
     brake = np.where(joint, share, 1.0) * 0.5 * peak
     at_stop = np.searchsorted(record.time, record.stop_at)
-    most = -np.sign(record.qd[at_stop, joint]) * share * peak * joint
+    most = -np.sign(record.qd[at_stop]) * share * peak * joint
     ends = {}
     for name, torque, damping in (
         ("least", most, np.where(joint, 0.0, JAMMED)),
@@ -475,6 +475,16 @@ def _other_ends(case, record):
     return ends
 
 
+def _hit_at(case, record):
+    """Return when a joint without a motor falls onto its stop, which throws the others [s]."""
+    limits = case.setup.robot.limits
+    is_at_end = (record.q <= limits.lower) | (record.q >= limits.upper)
+    is_hit = np.any(is_at_end, axis=1) & (
+        getattr(case.cause, "values", {}).get("silent", False)
+    )
+    return min(record.time[is_hit], default=np.inf)
+
+
 def _ending(record):
     if record.was_ended:
         return "ended"
@@ -488,7 +498,13 @@ def judged_outcome(case, record, clean):
     # The player stops at errors of the bench, too.
     assert "Error: " not in record.error, record.error
     stop_at = np.inf if record.stop_at is None else record.stop_at
-    until = min(record.disabled_at, record.time[-1], stop_at + OBSERVED)
+    ends = (
+        record.disabled_at,
+        record.time[-1],
+        stop_at + OBSERVED,
+        _hit_at(case, record),
+    )
+    until = min(ends)
     inside = (record.time >= stop_at) & (record.time <= until)
     is_later = inside & (record.time >= stop_at + LATER)
     q = record.q[inside]
@@ -499,7 +515,8 @@ def judged_outcome(case, record, clean):
         "later speed": np.abs(record.qd[is_later]).max(axis=0, initial=0.0),
     }
     is_other = np.arange(record.q.shape[1]) != case.joint
-    figures = _other_ends(case, record) if record.stop_at else {}
+    is_hold = case.setup.stands and record.stop_at
+    figures = _other_ends(case, record) if is_hold else {}
     for name, joint_values in values.items():
         figures[name] = float(joint_values.max())
         figures[f"others {name}"] = float(joint_values[is_other].max())
