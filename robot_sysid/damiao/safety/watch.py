@@ -109,10 +109,11 @@ class Watch:
         self._slowed = np.expm1(fade) / fade
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
-        # Means over 0.1 s (7, n) of: change of position, reported and commanded velocity; reported
-        # and commanded torque, fed torque, and the torque that the position control adds. Means
-        # over 1 s of these means, the first five as absolute values.
-        self._short, self._long = np.zeros((2, 7, n_joints))
+        # Means over 0.1 s (8, n) of: the change of velocity from sample to sample, between which it
+        # is not known; change of position, reported and commanded velocity; reported and commanded
+        # torque, fed torque, and the torque that the position control adds. Means over 1 s of these
+        # means, the first six as absolute values.
+        self._short, self._long = np.zeros((2, 8, n_joints))
         # Answers in a row with the same position and velocity, and commanded position and torque
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
@@ -130,7 +131,7 @@ class Watch:
     @property
     def fed_torque(self) -> Array:
         """Mean feed-forward torque of the last moments (n,) [N m]."""
-        return self._short[5]
+        return self._short[6]
 
     def check(
         self,
@@ -183,11 +184,12 @@ class Watch:
         """
         feedback = replies.feedback
         sample = np.array([replies.time, feedback.position, feedback.velocity])
-        passed, way, _ = sample - self._last
+        passed, way, turn = sample - self._last
         is_usable = replies.answered & (passed > 0.0)
         passed = np.where(is_usable, passed, 1.0)
         signals = np.array(
             [
+                np.abs(turn),
                 way / passed,
                 0.5 * (sample[2] + self._last[2]),
                 acted.velocity,
@@ -200,11 +202,11 @@ class Watch:
         self._last = np.where(replies.answered, sample, self._last)
         change = -np.expm1(-passed / _SHORT) * (signals - self._short)
         self._short = np.where(is_usable, self._short + change, self._short)
-        means = np.vstack([np.abs(self._short[:5]), self._short[5:]])
+        means = np.vstack([np.abs(self._short[:6]), self._short[6:]])
         share = -np.expm1(-passed / _LONG) * is_usable
         self._long += share * (means - self._long)
         if rising:
-            self._long[5:] = self._short[5:]
+            self._long[6:] = self._short[6:]
 
     def _check_rows(
         self, replies: Replies, acted: MitCommand, standing: bool, rising: bool
@@ -216,9 +218,9 @@ class Watch:
         settings = self._settings
         peak = self._peak
         q = replies.feedback.position
-        way, speed, led, tau, commanded, fed, added = self._short
+        turn, way, speed, led, tau, commanded, fed, added = self._short
         long_way, long_speed, _, long_tau, long_commanded, long_fed, long_added = (
-            self._long
+            self._long[1:]
         )
         tracking = np.full_like(q, settings.max_tracking_error)
         if standing:
@@ -234,12 +236,12 @@ class Watch:
             (
                 way,
                 self._slowed_speed(way, speed),
-                0.1 + 0.05 * np.abs(speed) + self._velocity_step,
+                0.1 + 0.05 * np.abs(speed) + self._velocity_step + 0.5 * turn,
             ),
             (
                 long_way,
                 self._slowed_speed(long_way, long_speed),
-                0.02 + 0.03 * long_speed + 0.5 * self._velocity_step,
+                0.02 + 0.03 * long_speed + 0.5 * (self._velocity_step + self._long[0]),
             ),
             (tau, commanded, 0.15 * peak + 4.0 * self._torque_step),
             (long_tau, long_commanded, 0.1 * long_commanded + torque_floor),
@@ -251,6 +253,8 @@ class Watch:
         measured, expected, bounds = map(np.array, zip(*rows))
         if rising:
             bounds[6:] = np.inf
+        # Samples say nothing of a joint that may come to rest within each cycle.
+        bounds[2:4, self._slowed > 2.0] = np.inf
         residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
         self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
         excess = residuals / bounds
@@ -306,7 +310,7 @@ class Watch:
     @property
     def _carried(self) -> Array:
         """Torque (n,) that carries the arm: the mean of the commanded one [N m]."""
-        return self._short[5] + self._short[6]
+        return self._short[6] + self._short[7]
 
     def standing_limit(self, q: Array, reference_q: Array, fed: Array) -> Array:
         """Return how far each joint (n,) may be from the position where it should stand still.
