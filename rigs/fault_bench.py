@@ -476,13 +476,13 @@ def _other_ends(case, record):
 
 
 def _hit_at(case, record):
-    """Return when a joint without a motor falls onto its stop, which throws the others [s]."""
+    """Return until when a joint without a motor has not hit its stop, which throws others [s]."""
     limits = case.setup.robot.limits
     is_at_end = (record.q <= limits.lower) | (record.q >= limits.upper)
     is_hit = np.any(is_at_end, axis=1) & (
         getattr(case.cause, "values", {}).get("silent", False)
     )
-    return min(record.time[is_hit], default=np.inf)
+    return min(record.time[is_hit] - 2.0 * PHYSICS_STEP, default=np.inf)
 
 
 def _ending(record):
