@@ -80,6 +80,7 @@ class PositionShift:
         self._samples: list[tuple[float, Array]] = []
         # Remaining steps of the last window's evaluation.
         self._work: Iterator[None] = iter(())
+        self._steps_per_cycle = 0
         self._finding: tuple[int, float] | None = None
         # Whether a change that began during the run was certain.
         self._has_changed = False
@@ -92,7 +93,6 @@ class PositionShift:
         # X' W C, y' W C and C' W C of each window.
         n_changes = 3 * n + 7
         self._sums = np.zeros((1 + _ONSETS, n_errors + 1 + n_changes, n_changes))
-        self._information = np.zeros((3, 3 * n + 7))
 
     def __call__(
         self, time: float, q: Array, qd: Array, tau: Array
@@ -110,8 +110,7 @@ class PositionShift:
         Returns:
             The joint's index and its position minus the reported one [rad], or None.
         """
-        # All steps of a window, in the fewest cycles that a window has.
-        for _ in range(4):
+        for _ in range(self._steps_per_cycle):
             next(self._work, None)
         sample = np.stack([q, qd, tau])
         if np.isfinite(time) and np.all(np.isfinite(sample)):
@@ -123,6 +122,8 @@ class PositionShift:
                 if duration < 2.0 * _WINDOW and len(window) >= 3:
                     # Where cycles were skipped, unfinished steps of the last window are lost.
                     self._work = self._take_in(window)
+                    # A window has less than 20 steps, which take half of the next window.
+                    self._steps_per_cycle = 1 + 40 // len(window)
         return self._finding
 
     def _take_in(self, window: Sequence[tuple[float, Array]]) -> Iterator[None]:
