@@ -289,8 +289,10 @@ class Watch:
         led_by, turned_by = np.abs(command - self._repeats_since)
         is_led = (led_by > 20.0 * self._position_step) & (self._repeats >= 3)
         follows = np.abs(commanded - feedback.torque) < 0.075 * self._peak
-        # A joint that turns round stands still until twice its friction is overcome.
-        is_frozen = is_led & follows & (turned_by > 4.0 * self._doubt)
+        # A joint that turns round stands still while friction, and its fed torque, reverse;
+        # with the usual stiffness that takes less than 0.03 rad of its path.
+        is_frozen = is_led & follows & (led_by > 0.03)
+        is_frozen &= turned_by > 2.0 * self._doubt
         self._stale |= is_led & ~follows
         self.stuck |= is_frozen
         self.to_switch_off |= is_frozen
