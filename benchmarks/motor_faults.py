@@ -122,7 +122,7 @@ def clean_result(case: tuple[str, SetUp]) -> dict:
 
 def shorten_message(message: str, length: int = 78) -> str:
     """Return an error's first words, with numbers of motors and values left out."""
-    first = re.sub(r"\(joint [^)]*\) ", "", message)
+    first = re.sub(r" \(joint [^)]*\)", "", message)
     return re.sub(r"motor \d+", "motor", first)[:length]
 
 

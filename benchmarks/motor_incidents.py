@@ -30,6 +30,7 @@ HEAD = (
     "| --- | --- | --- | --- | --- |"
 )
 LENGTH = 100
+NO_MODEL = ", no model"
 
 
 def motor_rows(arms: Sequence[str], only: str, jobs: int) -> Iterator[str]:
@@ -37,7 +38,7 @@ def motor_rows(arms: Sequence[str], only: str, jobs: int) -> Iterator[str]:
     for arm in arms:
         cases = [case for case in cases_on(SETUPS[arm]) if only in case.name]
         for case, outcome in zip(cases, outcomes_of(cases, jobs)):
-            model = "" if case.setup.model_is_given else ", no model"
+            model = "" if case.setup.model_is_given else NO_MODEL
             departure = departure_of(case, outcome)
             message = shorten_message(outcome.words, LENGTH)
             yield (
@@ -85,7 +86,8 @@ def main() -> None:
             print(row, flush=True)
             rows.append(row)
     if options.page:
-        rewrite(PAGE, ROWS_BEGIN, ROWS_END, rows)
+        given = [row for row in rows if NO_MODEL not in row]
+        rewrite(PAGE, ROWS_BEGIN, ROWS_END, given)
 
 
 if __name__ == "__main__":

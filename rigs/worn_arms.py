@@ -172,10 +172,14 @@ def _plan_of(setup):
     rng = np.random.default_rng([setup.seed, 0])
     plan = generate_excitation_trajectory(robot, rng, setup.duration)
     time = np.arange(round(setup.duration * FILE_RATE) + 1) / FILE_RATE
-    fastest = np.abs(plan.evaluate(time).qd).max(axis=0)
+    small = plan.evaluate(time)
+    limits = robot.limits
+    centre = small.q[0]
+    room = np.minimum(centre - limits.lower, limits.upper - centre)
     larger = np.full(robot.n_joints, LARGER)
     larger[-1] = 1.0
-    larger = np.minimum(larger, 0.99 * robot.limits.velocity / fastest)
+    larger = np.minimum(larger, 0.9 * room / np.abs(small.q - centre).max(axis=0))
+    larger = np.minimum(larger, 0.99 * limits.velocity / np.abs(small.qd).max(axis=0))
     motion = plan.scale_amplitudes(larger).evaluate(time)
     tau = np.asarray(ArmDynamics(robot)(motion))
     types = setup.motors or motor_types(tau, np.abs(motion.qd).max(axis=0))
