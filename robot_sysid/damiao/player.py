@@ -380,10 +380,7 @@ class Player:
             carrying_torque = self._holding.torque(pose)
         else:
             # While gains rise, the mean feed-forward torque is less than the torque that carries.
-            lacks_mean = np.isnan(observer.fed_torque) | self._rising
-            carrying_torque = np.where(
-                lacks_mean, reference.torque, observer.fed_torque
-            )
+            carrying_torque = reference.torque if self._rising else observer.fed_torque
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         # The position of a joint that jumped without stiffness may not be the one that its motor
         # controls: stiffness could push it on.
@@ -397,6 +394,7 @@ class Player:
             fed=np.nan_to_num(fed),
             stuck=observer.stuck,
             limits=self._session.limits,
+            deviation=self._session.torque_deviation,
         )
         carried.stiffness = np.where(is_loose, 0.0, carried.stiffness)
         return carried

@@ -182,6 +182,11 @@ class MotorSession:
         """
         return self._filter.last.q, self._filter.last.qd
 
+    @property
+    def torque_deviation(self) -> Array:
+        """Reported torque minus the commanded one (n,) of these answers [N m]."""
+        return self._filter.last.torque_error
+
     def open_range(self) -> None:
         """Widen the range of commanded positions to that of the frames; speeds stay limited.
 

@@ -90,6 +90,19 @@ def stop_settings(n):
     return PlaySettings(kp=(KP,) * n, kd=(KD,) * n, rate=1.0 / PERIOD, rest_time=0.3)
 
 
+@given(off=st.floats(0.01, 0.5), side=st.sampled_from([-1.0, 1.0]))
+def test_a_motor_that_may_ignore_its_stiffness_gets_no_more_of_it(off, side):
+    """The torque that makes up for more stiffness would throw its joint."""
+    zero = np.zeros(2)
+    led = Reference(zero, zero, zero)
+    state = np.array([-side * off, 0.0]), zero, zero, zero != 0.0
+    ignored = -KP * side * off * np.array([1.0, 0.0])
+    limits = Limits(torque=np.full(2, 27.0))
+    path = CarriedStop(stop_settings(2), led, *state, limits, ignored)
+    assert path.stiffness[0] == 1.0 and path.stiffness[1] > 1.0
+    np.testing.assert_allclose(path(0.0).torque, zero, atol=1e-9)
+
+
 def stop(
     position=ZERO, velocity=ZERO, torque=ZERO, q=ZERO, qd=ZERO, stuck=(False, False)
 ):

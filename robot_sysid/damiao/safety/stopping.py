@@ -43,6 +43,8 @@ class CarriedStop(Follower):
         fed: torque (n,) that carries the arm at rest: of its model, or fed forward last [N m].
         stuck: whether each joint (n,) is blocked: the torque of its position error is removed.
         limits: of commanded positions and torques.
+        deviation: reported torque minus the commanded one (n,) [N m]: where it is that of the
+            position error, the motor may ignore its stiffness, and that is not raised.
 
     Attributes:
         last: reference returned last.
@@ -58,6 +60,7 @@ class CarriedStop(Follower):
         fed: Array,
         stuck: Mask,
         limits: Limits,
+        deviation: Array | float = 0.0,
     ) -> None:
         self.follow(q, qd, fed)
         self.last = self._begin = reference
@@ -80,7 +83,10 @@ class CarriedStop(Follower):
         spare = np.maximum(np.abs(fed), 0.25 * limits.torque)
         most = kp + spare / np.maximum(np.abs(self._offset), 1e-9)
         raised = np.clip(np.minimum(self._kd / 0.004, most), kp, KP_MAX)
-        stiffness = np.where(np.isfinite(q) & ~stuck & (kp > 0.0), raised, kp)
+        # Without its stiffness, a motor would only make the torque that makes up for more of it.
+        doubt = 0.3 * kp * np.abs(self._offset) + 0.01 * limits.torque
+        obeys = np.isfinite(q) & ~stuck & (kp > 0.0) & (np.abs(deviation) <= doubt)
+        stiffness = np.where(obeys, raised, kp)
         self.stiffness = stiffness / np.maximum(kp, 1e-9)
         # Torque without that of the distance, and what is added to the feed-forward torque now.
         self._relieved = -stiffness * self._offset

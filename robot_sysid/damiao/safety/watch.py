@@ -37,8 +37,8 @@ from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-# Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s: with
-# twice as much an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
+# Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s;
+# with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
 _SHORT = 0.05
 _LONG = 1.0
 # Rows of the watch: which of the three disagrees, then its two numbers.
