@@ -35,7 +35,7 @@ from rigs.wrong_arms import resting_torque
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.joints import motor_spec
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
-from robot_sysid.damiao.safety.holding import gravity_check
+from robot_sysid.damiao.safety.holding import gravity_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.parser import load_robot_model
@@ -265,7 +265,7 @@ class BenchRun(MotorRun):
         self.arm.takes_whole_steps = True
         setup.prepare(self)
         if setup.model_is_given:
-            self.holding = gravity_check(setup.robot, plan.trajectory.joints)
+            self.holding = gravity_holding(setup.robot, plan.trajectory.joints)
         self.stop_at = None
         self.was_ended = False
         self._cases = dict(enumerate(cases))

@@ -26,7 +26,11 @@ from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.protocol import BusTiming, CanFrame, Scaling, is_harmful
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
 from robot_sysid.damiao.references import Activity, trajectory_reference
-from robot_sysid.damiao.safety.holding import HoldingCheck, file_holding, gravity_check
+from robot_sysid.damiao.safety.holding import (
+    HoldingTorque,
+    file_holding,
+    gravity_holding,
+)
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     HoldOptions,
@@ -152,7 +156,7 @@ class MotorRun:
         pose = joint_values(options.pose or tuple(robot.reference), n, "--pose")
         positions = joint_positions(joints, inspection)
         pose = np.where(np.isfinite(positions), positions, pose)
-        torque = gravity_check(robot, joints).torque(pose)
+        torque = gravity_holding(robot, joints).torque(pose)
         time = np.array([0.0, options.lifetime])
         still = np.zeros((2, n))
         trajectory = DamiaoTrajectory(
@@ -234,11 +238,11 @@ class MotorRun:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
 
-    def holding(self, plan: Plan) -> HoldingCheck:
+    def holding(self, plan: Plan) -> HoldingTorque:
         """Return the torques that hold the arm by the model, or else by the file."""
         if self.robot is None:
             return file_holding(plan.trajectory)
-        return gravity_check(self.robot, plan.trajectory.joints)
+        return gravity_holding(self.robot, plan.trajectory.joints)
 
     @cached_property
     def robot(self) -> Any:
@@ -316,7 +320,7 @@ def run(
     inspection: Inspection,
     stop: StopRequest,
     on_phase: Callable[[str], None],
-    holding: HoldingCheck,
+    holding: HoldingTorque,
     activity: Activity | None = None,
 ) -> PlayReport:
     """Play a plan on the motors of an inspection, record it, and return the report of the run.

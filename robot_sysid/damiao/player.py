@@ -31,7 +31,7 @@ from robot_sysid.damiao.references import (
     hold_reference,
     transfer_reference,
 )
-from robot_sysid.damiao.safety.holding import HoldingCheck
+from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.safety.plausibility import Replies
 from robot_sysid.damiao.safety.stopping import LONGEST_LOWERING, CarriedStop, Lowering
 from robot_sysid.damiao.safety.watch import Watch
@@ -136,7 +136,7 @@ class Player:
         stop: StopRequest,
         recorder: MeasurementRecorder | None,
         on_phase: Callable[[str], None],
-        holding: HoldingCheck,
+        holding: HoldingTorque,
     ) -> None:
         self._session = session
         self._clock = session.clock
@@ -145,7 +145,7 @@ class Player:
         self._recorder = recorder
         self._announce = on_phase
         self._holding = holding
-        self._observer = Watch(
+        self._watch = Watch(
             session.joints, settings, session.steps, session.limits.torque, holding
         )
         self._timer: CycleTimer
@@ -186,8 +186,8 @@ class Player:
             self._timer.skipped,
             p50,
             p99,
-            self._observer.health.total_missed,
-            self._observer.worst_tracking,
+            self._watch.health.total_missed,
+            self._watch.worst_tracking,
         )
 
     def _run_phases(self, activity: Activity) -> None:
@@ -231,7 +231,7 @@ class Player:
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``; HardwareAbort where its torques do not carry it."""
         self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
-        self._observer.check_holding(self._session.believed_motion[0])
+        self._watch.check_holding(self._session.believed_motion[0])
 
     def _lower_from(self, begin: Reference) -> Lowering:
         """Return the reference that lowers the arm from ``begin``.
@@ -279,9 +279,7 @@ class Player:
                 self._n_recorded += 1
                 if self._recorder:
                     self._recorder.write(time, origin, replies, acted)
-            self._observer.check(
-                replies, acted, self._standing, self._rising, is_lowered
-            )
+            self._watch.check(replies, acted, self._standing, self._rising, is_lowered)
 
     def _stop_if_asked(self) -> None:
         """Raise HardwareAbort if a stop was requested, or recording failed."""
@@ -318,9 +316,9 @@ class Player:
         acted = self._command or command._replace(kp=zero, kd=zero, torque=zero)
         until = self._clock.now() + REPLY_SHARE * self._settings.period
         # A motor that does not answer may still obey.
-        driven = ~self._observer.failed
+        driven = ~self._watch.failed
         replies = self._session.exchange(command, until, driven, braking)
-        self._observer.health.update(replies)
+        self._watch.health.update(replies)
         self._reference = reference
         self._command = replies.command
         q, qd = self._session.believed_motion
@@ -334,7 +332,7 @@ class Player:
     def _trusted_motion(self) -> tuple[Array, Array]:
         """Believed positions and velocities (n,) [rad, rad/s]; NaN where they are not trusted."""
         motion = self._session.believed_motion
-        q, qd = np.where(self._observer.trusted_joints, motion, np.nan)
+        q, qd = np.where(self._watch.trusted_joints, motion, np.nan)
         return q, qd
 
     def _stop_gently(self) -> None:
@@ -352,8 +350,8 @@ class Player:
         # Drivers may raise SystemExit and KeyboardInterrupt too; the user's requests come by
         # ``self._stop``.
         with contextlib.suppress(BaseException):
-            self._session.switch_off(self._observer.to_switch_off)
-            self._observer.failed |= self._observer.to_switch_off
+            self._session.switch_off(self._watch.to_switch_off)
+            self._watch.failed |= self._watch.to_switch_off
             carried = self._carry_from(self._reference)
             # Then the arm is disabled even if it has not come to rest.
             self._stop_phase(carried, 2.0)
@@ -367,24 +365,24 @@ class Player:
         any more, because it is wrong; a joint that sank against the torque would sink farther
         without it.
         """
-        observer = self._observer
+        watch = self._watch
         settings = self._settings
         q, qd = self._trusted_motion
         limit: Array | float = settings.max_tracking_error
         if self._standing:
-            limit = observer.standing_limit(q, reference.position, reference.torque)
+            limit = watch.standing_limit(q, reference.position, reference.torque)
         has_left = np.abs(q - reference.position) > limit
-        is_pushed = observer.is_pushed(q, reference.position, reference.torque)
+        is_pushed = watch.is_pushed(q, reference.position, reference.torque)
         if self._holding.is_model:
             pose = np.where(np.isfinite(q), q, reference.position)
             carrying_torque = self._holding.torque(pose)
         else:
             # While gains rise, the mean feed-forward torque is less than the torque that carries.
-            carrying_torque = reference.torque if self._rising else observer.fed_torque
+            carrying_torque = reference.torque if self._rising else watch.fed_torque
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         # The position of a joint that jumped without stiffness may not be the one that its motor
         # controls: stiffness could push it on.
-        is_loose = observer.stuck & (self._follower.stiffness == 0.0) & np.isfinite(q)
+        is_loose = watch.stuck & (self._follower.stiffness == 0.0) & np.isfinite(q)
         position = np.where(is_loose, q, self._session.sent_position)
         carried = CarriedStop(
             settings,
@@ -392,7 +390,7 @@ class Player:
             q,
             qd,
             fed=np.nan_to_num(fed),
-            stuck=observer.stuck,
+            stuck=watch.stuck,
             limits=self._session.limits,
             deviation=self._session.torque_deviation,
         )
@@ -413,7 +411,7 @@ class Player:
             # has failed.
             silent = self._clock.now() - self._heard_at > 0.15
             # Where all motors have failed or are silent, commands have no effect any more.
-            hopeless = silent or np.all(self._observer.failed)
+            hopeless = silent or np.all(self._watch.failed)
             if hopeless or self._stop.insisted or reference.is_done:
                 return
             # A bus that fails now may work again in the next cycle.

@@ -21,7 +21,7 @@ from robot_sysid.damiao.joints import (
     limits_agree,
     peak_torques,
 )
-from robot_sysid.damiao.safety.holding import HoldingCheck
+from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
 from robot_sysid.damiao.settings import Plan, joint_positions
 from robot_sysid.damiao.trajectory import ROUNDING, DamiaoTrajectory
@@ -323,7 +323,7 @@ def watchdog_checks(
         yield note(f"{watchdog} is long; {remedy}")
 
 
-def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Remark]:
+def direction_checks(plan: Plan, holding: HoldingTorque) -> Iterator[Remark]:
     """Yield a finding where a joint's direction is not known, by its load or a verification.
 
     ``holding`` computes the torques that hold the arm. Where it has no model, or if the user

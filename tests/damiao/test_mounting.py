@@ -14,7 +14,7 @@ from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
 from robot_sysid.damiao.preflight import bus_checks, stops
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, Register
-from robot_sysid.damiao.safety.holding import file_holding, gravity_check
+from robot_sysid.damiao.safety.holding import file_holding, gravity_holding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import InputError
 
@@ -120,7 +120,7 @@ def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
 
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
     joints = damiao_joints(["DM4310"] * 3, 3)
-    check = gravity_check(three_joint_arm, joints)
+    check = gravity_holding(three_joint_arm, joints)
     q = three_joint_arm.reference + 0.5
     holding = check.torque(q)
     assert not np.any(check.contradicts(q, holding))

@@ -14,7 +14,7 @@ from robot_sysid.damiao.references import (
     trajectory_reference,
     transfer_reference,
 )
-from robot_sysid.damiao.safety.holding import HoldingCheck, torque_doubt
+from robot_sysid.damiao.safety.holding import HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.stopping import CarriedStop, Lowering
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.records import Limits
@@ -278,7 +278,7 @@ def test_a_load_is_judged_from_twice_the_torque_that_friction_hides(loads, is_ju
     """In units of that torque: below, a joint that carries nothing is no fault."""
     joints = (DamiaoJoint("DM4310", 1, 0x11, "elbow"),)
     torque = loads * torque_doubt(joints)
-    check = HoldingCheck(joints, lambda q: torque, torque_doubt(joints))
+    check = HoldingTorque(joints, lambda q: torque, torque_doubt(joints))
     q = np.zeros(1)
     assert check.unverified_joints(q) == ([] if is_judged else list(joints))
     assert not check.contradicts(q, torque)

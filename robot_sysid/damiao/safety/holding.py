@@ -38,7 +38,7 @@ _NEAR = 0.1
 
 
 @dataclass(frozen=True)
-class HoldingCheck:
+class HoldingTorque:
     """What torques hold an arm still.
 
     Attributes:
@@ -96,7 +96,9 @@ class HoldingCheck:
         return PositionShift(self.robot, self.doubt)
 
 
-def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
+def gravity_holding(
+    robot: RobotModel, joints: tuple[DamiaoJoint, ...]
+) -> HoldingTorque:
     """Return the torques that hold an arm by its model's gravity.
 
     Args:
@@ -113,10 +115,10 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
         return arm(Motion(np.zeros(1), q[None], zero, zero))[0]
 
     doubt = torque_doubt(joints) + robot.friction.largest_dry
-    return HoldingCheck(joints, holding_torque, doubt, robot=robot)
+    return HoldingTorque(joints, holding_torque, doubt, robot=robot)
 
 
-def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
+def file_holding(trajectory: DamiaoTrajectory) -> HoldingTorque:
     """Return the torques that hold an arm near a trajectory's first point, by the trajectory.
 
     They are the feed-forward torque of the row with the least acceleration near the first point;
@@ -131,7 +133,7 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
     doubt = torque_doubt(trajectory.joints)
     # Slower, a torque is that at rest: 1 N m at 2 kg m^2.
     is_at_rest = acceleration[row] < 0.5
-    return HoldingCheck(
+    return HoldingTorque(
         trajectory.joints,
         lambda q: torque,
         doubt,

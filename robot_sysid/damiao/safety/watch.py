@@ -31,7 +31,7 @@ import numpy as np
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.safety.health import BusHealth
-from robot_sysid.damiao.safety.holding import LOADED, HoldingCheck, torque_doubt
+from robot_sysid.damiao.safety.holding import LOADED, HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.plausibility import Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
@@ -86,7 +86,7 @@ class Watch:
         settings: PlaySettings,
         steps: tuple[Array, ...],
         peak_torque: Array,
-        holding: HoldingCheck,
+        holding: HoldingTorque,
     ) -> None:
         n_joints = len(joints)
         self._joints = joints

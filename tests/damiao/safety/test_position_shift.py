@@ -11,7 +11,7 @@ import pytest
 from rigs import arms
 from rigs.places import DATA
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.safety.holding import gravity_check
+from robot_sysid.damiao.safety.holding import gravity_holding
 from robot_sysid.damiao.safety.position_shift import PositionShift
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.parser import load_robot_model
@@ -50,7 +50,7 @@ def play_motion(
 
 def finding(robot, run):
     """When a run is found wrong [s], the joint, and its shift [rad]; None where it never is."""
-    check = gravity_check(robot, ZERO_JOINTS).position_shift()
+    check = gravity_holding(robot, ZERO_JOINTS).position_shift()
     for time, q, qd, tau in zip(run.time, run.q, run.qd, run.tau):
         finding_now = check(time, q, qd, tau)
         if finding_now is not None:

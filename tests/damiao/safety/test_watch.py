@@ -10,7 +10,7 @@ import pytest
 from rigs.damiao_rig import mit_command, state, undoubted
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.safety.holding import HoldingCheck, torque_doubt
+from robot_sysid.damiao.safety.holding import HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.plausibility import NO_STATUS
 from robot_sysid.damiao.safety.watch import Watch
 from robot_sysid.damiao.settings import PlaySettings
@@ -22,7 +22,7 @@ PEAK = np.full(2, 27.0)
 KP = 180.0
 KD = 4.5
 CYCLE = 0.004
-HOLDING = HoldingCheck(JOINTS, lambda q: 8.0 * np.cos(q), torque_doubt(JOINTS))
+HOLDING = HoldingTorque(JOINTS, lambda q: 8.0 * np.cos(q), torque_doubt(JOINTS))
 
 
 def watch(**settings):
