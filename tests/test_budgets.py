@@ -27,7 +27,7 @@ BUDGETS = {
     "robot_sysid/model": 8673,
     "robot_sysid/motion": 14874,
     "robot_sysid/pipeline": 9722,
-    "robot_sysid/records": 10688,
+    "robot_sysid/records": 10690,
     "robot_sysid/report": 4902,
     "robot_sysid/results": 11013,
     "robot_sysid/servo": 7031,

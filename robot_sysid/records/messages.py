@@ -37,11 +37,12 @@ def number_text(value: float, error: float | None = None) -> str:
 def with_error(value: float, error: float | None, unit: str = "") -> str:
     """Return a number and its standard error, such as "1.551 ± 0.087 kg".
 
-    "1.551 kg (± not known)" where the error is not finite; the number alone where it is None or 0.
+    "1.6 kg (± not known)" where the error is not finite; the number alone where it is None or 0.
     """
-    if not error or not math.isfinite(error):
-        text = f"{number_text(value)} {unit}".rstrip()
-        return f"{text} (± not known)" if error else text
+    if not error:
+        return f"{number_text(value)} {unit}".rstrip()
+    if not math.isfinite(error):
+        return f"{value:.2g} {unit}".rstrip() + " (± not known)"
     return f"{number_text(value, error)} ± {number_text(error, error)} {unit}".rstrip()
 
 
