@@ -506,6 +506,11 @@ class MotorBus:
         """The status code of each motor."""
         return [motor.status for motor in self.arm.motors]
 
+    def mount(self, j, **mounting):
+        """Mount a joint's motor in another way; no program knows it."""
+        self.motors[j].joint = replace(self.motors[j].joint, **mounting)
+        self.arm._mounting = Mounting.of([motor.joint for motor in self.motors])
+
     def at(self, delay, action):
         """Do something some time [s] from now."""
         self.clock.at(self.clock.now() + delay, action)
@@ -597,15 +602,6 @@ class Rig(MotorRun):
         for cause in faults:
             cause(self)
         self.states_before = self.states()
-
-    def mount(self, j, in_plan=True, **mounting):
-        """Mount a motor in another way, and let the plan know it."""
-        joints = list(self.plan.trajectory.joints)
-        self.motors[j].joint = joints[j] = replace(joints[j], **mounting)
-        self.arm._mounting = Mounting.of(joints)
-        if in_plan:
-            trajectory = replace(self.plan.trajectory, joints=tuple(joints))
-            self.plan = replace(self.plan, trajectory=trajectory)
 
     def span(self, phase):
         """Return from when to when a phase went on [s]; both are infinite where it never began."""

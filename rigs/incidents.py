@@ -16,7 +16,6 @@ from rigs.damiao_rig import fault, later
 from rigs.fault_bench import AT_START, OTHERS, Case
 from rigs.places import MODELS
 from rigs.worn_arms import WornSetUp
-from robot_sysid.damiao.joints import Mounting
 from robot_sysid.damiao.protocol import DISABLED, Register
 
 SMALL_ARM = serial_arm(
@@ -74,13 +73,7 @@ def exchanged(*joints):
 def mounted(mountings):
     """Return the cause of motors that are mounted in another way than the map says, by joint."""
 
-    def cause(run):
-        for j, mounting in mountings.items():
-            run.motors[j].joint = replace(run.motors[j].joint, **mounting)
-        joints = [motor.joint for motor in run.motors]
-        run.arm._mounting = Mounting.of(joints)
-
-    return cause
+    return lambda run: [run.mount(j, **change) for j, change in mountings.items()]
 
 
 def away(angle):
@@ -119,10 +112,6 @@ class PowerDip:
     def __call__(self, run):
         fault(self.joint, silent=True, status=DISABLED)(run)
         later(0.05, fault(self.joint, silent=False))(run)
-
-
-def _position(hit):
-    return hit.position
 
 
 @dataclass(frozen=True)

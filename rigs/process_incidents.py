@@ -35,21 +35,15 @@ SINKS = 0.5
 """How long the arm is watched after the program has ended [s]."""
 
 
-def stop_for_half_a_second(player):
-    player.send_signal(signal.SIGSTOP)
-    time.sleep(0.5)
-    player.send_signal(signal.SIGCONT)
+def sending(*numbers, apart=0.0):
+    """Return what sends signals, a time apart [s]."""
 
+    def act(player):
+        for number in numbers:
+            player.send_signal(number)
+            time.sleep(apart)
 
-def interrupt_twice(player):
-    player.send_signal(signal.SIGINT)
-    time.sleep(0.25)
-    player.send_signal(signal.SIGINT)
-
-
-def sending(number):
-    """Return what sends a signal."""
-    return lambda player: player.send_signal(number)
+    return act
 
 
 def close_console(player):
@@ -61,10 +55,6 @@ def small_files_only():
     """Let no file grow beyond 20 kB, as on a disk that is full."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-
-
-def nothing(player):
-    """Let it play."""
 
 
 @dataclass(frozen=True)
@@ -91,17 +81,19 @@ class Incident:
     brakes: bool = True
 
 
-UNDISTURBED = Incident("nothing", nothing, 0)
+UNDISTURBED = Incident("nothing", sending(), 0)
+STOPPED = sending(signal.SIGSTOP, signal.SIGCONT, apart=0.5)
+TWICE = sending(signal.SIGINT, signal.SIGINT, apart=0.25)
 INCIDENTS = (
-    Incident("stopped for 0.5 s", stop_for_half_a_second, 3, LATE, brakes=False),
+    Incident("stopped for 0.5 s", STOPPED, 3, LATE, brakes=False),
     Incident("killed", sending(signal.SIGKILL), -9, off_within=0.4, brakes=False),
     Incident("terminated", sending(signal.SIGTERM), 3, "stopped by SIGTERM"),
     Incident("hung up", sending(signal.SIGHUP), 3, "stopped by SIGHUP"),
     Incident("Ctrl-C", sending(signal.SIGINT), 3, "stopped by SIGINT"),
     Incident("Ctrl-Z", sending(signal.SIGTSTP), 3, "stopped by SIGTSTP"),
-    Incident("Ctrl-C twice", interrupt_twice, 3, "stopped by SIGINT", off_within=0.5, brakes=False),
+    Incident("Ctrl-C twice", TWICE, 3, "stopped by SIGINT", off_within=0.5, brakes=False),
     Incident("console closed", close_console, 0, off_within=9.0),
-    Incident("full disk", nothing, 3, "cannot record", small_files_only, off_within=9.0),
+    Incident("full disk", sending(), 3, "cannot record", small_files_only, off_within=9.0),
 )  # fmt: skip
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import signal
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,14 @@ from hypothesis import strategies as st
 
 from rigs import arms
 from rigs.command_line import run_motors
-from rigs.damiao_rig import MotorBus, fault, map_line, only_asks, with_coarse_physics
+from rigs.damiao_rig import (
+    MotorBus,
+    fault,
+    map_line,
+    only_asks,
+    trajectory_of,
+    with_coarse_physics,
+)
 from rigs.wrong_arms import resting_torque
 from robot_sysid.commands import Console
 from robot_sysid.commands.motors import holding
@@ -24,15 +30,12 @@ from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.protocol import DISABLE, DISABLED, special_frame
 from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.settings import Plan, PlaySettings
-from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Limits
 from robot_sysid.simulation.plant import ArmStepper
 
 POSE = 0.8, 0.3
 USUAL = "--accept-directions --yes --for 0.8 --rate 100 --channel can0"
-CAUGHT = 0.3
-"""How far a joint may get that nothing holds, or that gets a wrong torque [rad]."""
 
 
 def arm(tip_mass=0.8, dry=0.05, viscous=1.0):
@@ -243,10 +246,9 @@ def test_a_joint_at_an_end_of_its_range_says_nothing_of_its_gravity(float_test):
 
 def begin_floating():
     """Return the reference of a joint that stands at zero, of a range of 0.09 rad each way."""
-    joints = damiao_joints(["DM4310"], 1)
     still = np.zeros((2, 1))
     times = np.array([0.0, 5.0])
-    trajectory = DamiaoTrajectory(Path("hold"), joints, times, still, still, still)
+    trajectory = trajectory_of((times, still, still, still), "DM4310")
     limits = Limits(np.array([-0.09]), np.array([0.09]))
     plan = Plan(trajectory, PlaySettings(rate=250.0), model_limits=limits)
     return Floating(plan, np.zeros_like).begin(Reference(*np.zeros((3, 1))))

@@ -12,16 +12,9 @@ from hypothesis import strategies as st
 
 from rigs import damiao_rig
 from rigs.damiao_rig import Damage, MotorBus, mit_command
-from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
+from robot_sysid.damiao.bus import GuardedLink, RegisterClient
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.protocol import (
-    DISABLED,
-    ENABLED,
-    REGISTER_ID,
-    CanFrame,
-    Register,
-    is_motion,
-)
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, CanFrame, Register, is_motion
 from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
 
@@ -52,19 +45,6 @@ def setup_client(bench):
     """What setting up a motor writes with: a run may not."""
     link = GuardedLink(bench.wire, bench.clock, refuses=is_motion)
     return RegisterClient(link)
-
-
-def test_inspection_reads_everything_and_changes_nothing():
-    bench = Bench()
-    registers_before = [dict(m.registers) for m in bench.motors]
-    inspection = inspect_bus(bench.link)
-    assert sorted(inspection.motors) == [1, 2]
-    assert set(inspection.motors[1].registers) == set(Register)
-    assert inspection.motors[2].limits == (12.5, 10.0, 28.0)
-    assert inspection.motors[2].feedback.temperature_mos[0] == 31
-    assert [m.registers for m in bench.motors] == registers_before
-    assert bench.states() == [DISABLED] * 2
-    assert {frame.id for frame in bench.wire.sent} == {REGISTER_ID}
 
 
 def test_a_refused_write_is_noticed(monkeypatch):
