@@ -44,18 +44,18 @@ def words_of(cycles, flags=(), **settings):
     return None
 
 
-def stand(cycles, q=0.0, p=0.0, answered=True, **feedback):
-    """Yield cycles of joints that stand, the second with these values; its command holds it."""
+def cycle(k, command, answered, *signals):
+    """Return replies and command of a cycle; the second joint's signals may be missing."""
+    seen = np.array([True, answered])
+    now = state(*np.where(seen, signals, np.nan), status=np.where(seen, 1, NO_STATUS))
+    return undoubted(seen, np.where(seen, k * CYCLE, np.nan), now, seen), command
+
+
+def stand(cycles, q=0.0, answered=True):
+    """Yield cycles of joints that stand, the second at q [rad]; their command holds them at 0."""
     for k in range(cycles):
-        command = mit_command([0.0, p], 0.0, KP, KD, [0.0, 0.0])
-        seen = np.array([True, answered])
-        signals = {"torque": [0.0, KP * (p - q)], **feedback}
-        status = [1, 1 if answered else NO_STATUS]
-        now = state(np.where(seen, [0.0, q], np.nan), **{"status": status, **signals})
-        yield (
-            undoubted(seen, np.where(seen, k * CYCLE, np.nan), now, np.ones(2, bool)),
-            command,
-        )
+        command = mit_command(np.zeros(2), 0.0, KP, KD)
+        yield cycle(k, command, answered, [0.0, q], [0.0, 0.0], [0.0, -KP * q])
 
 
 # --- the bus --------------------------------------------------------------------------------------
@@ -130,21 +130,9 @@ def swing(
         else:
             qd = 0.0
         commanded = command.motor_torque(np.array([0.0, q]), np.array([0.0, qd]))[1]
-        answered = np.array([True, random.random() >= misses])
-        signals = np.where(
-            answered,
-            [
-                [0.0, round(q / 4e-4) * 4e-4],
-                [0.0, qd * velocity],
-                [8.0, commanded * torque],
-            ],
-            np.nan,
-        )
-        now = state(*signals, status=np.where(answered, 1, NO_STATUS))
-        yield (
-            undoubted(answered, np.where(answered, time, np.nan), now, answered),
-            command,
-        )
+        reported = round(q / 4e-4) * 4e-4, qd * velocity, commanded * torque
+        answered = random.random() >= misses
+        yield cycle(k, command, answered, *zip((0.0, 0.0, 8.0), reported))
 
 
 def test_an_arm_that_does_as_it_should_is_left_alone():
