@@ -59,8 +59,8 @@ CLEAN_MARGIN = 1.0
 """How long after the last case can end the undisturbed run goes on [s]."""
 MOTOR_TYPES = ["DM8009", "DM10010L", "DM8009", "DM8009", "DM4340", "DM4340", "DM4340"]
 """Types of the motors of the Kinova arm, base to terminal."""
-SHOULDER_LOAD = 20.0, 33.0
-"""Least and most gravity on the most loaded joint in poses that count as loaded [N m]."""
+SHOULDERS = {"DM10010L": (20.0, 33.0), "DM8009": (20.0, 33.0), "DM4340": (12.4, 12.8)}
+"""Motors of the shoulder: least and most gravity on it in poses that count as loaded [N m]."""
 SHOULDER = 1
 WRIST = 5
 
@@ -75,7 +75,6 @@ class SetUp:
         park: where the arm is left; None where it ends.
         kp: stiffness of all joints [N m/rad]; None: by motor type.
         shoulder: type of the motor of the loaded joint.
-        load: least and most gravity on this joint in loaded poses [N m].
         pose: number of the loaded pose around which it moves.
         stands: whether the trajectory stands still in that pose.
     """
@@ -86,7 +85,6 @@ class SetUp:
     rate: float = 250.0
     kp: float | None = None
     shoulder: str = MOTOR_TYPES[SHOULDER]
-    load: tuple[float, float] = SHOULDER_LOAD
     pose: int = 0
     stands: bool = False
     duration: float = DURATION
@@ -125,10 +123,10 @@ def robot_of(belief):
 
 
 @cache
-def loaded_poses(load=SHOULDER_LOAD, count=5):
-    """Return poses (count, n) [rad] by the gravity on the arm's shoulder [N m]."""
+def loaded_poses(shoulder, count=5):
+    """Return poses (count, n) [rad] that load the arm's shoulder as its motor's type can hold."""
     robot = robot_of("truth")
-    least, greatest = load
+    least, greatest = SHOULDERS[shoulder]
     lower = np.maximum(robot.limits.lower, -1.8) + 0.6
     upper = np.minimum(robot.limits.upper, 1.8) - 0.6
     q = np.random.default_rng(7).uniform(lower, upper, (4000, robot.n_joints))
@@ -141,7 +139,7 @@ def loaded_poses(load=SHOULDER_LOAD, count=5):
 def load_of(setup):
     """Return gravity's torque on the shoulder in a set-up's pose [N m]."""
     robot = robot_of("truth")
-    pose = loaded_poses(setup.load)[setup.pose][None]
+    pose = loaded_poses(setup.shoulder)[setup.pose][None]
     return abs(resting_torque(robot, pose, robot.thetas)[0, SHOULDER])
 
 
@@ -164,14 +162,19 @@ def multi_sine(pose, duration, stands=False):
 def plan_of(setup):
     """Return the plan of a set-up, with the inertias of the model if there is one."""
     robot = robot_of(setup.belief)
-    pose = loaded_poses(setup.load)[setup.pose]
+    pose = loaded_poses(setup.shoulder)[setup.pose]
     motion = multi_sine(pose, setup.duration, setup.stands)
     tau = np.asarray(ArmDynamics(robot)(motion))
+    return plan_with(setup, robot, motion, tau, setup.motor_types)
+
+
+def plan_with(setup, robot, motion, tau, types):
+    """Return the plan of a set-up for a motion, its torque (N, n) [N m] and the motors' types."""
     names = robot.joint_names if setup.model_is_given else ()
     signals = motion.time, motion.q, motion.qd, tau
-    trajectory = trajectory_of(signals, *setup.motor_types, names=names)
-    stiffness = {} if setup.kp is None else {"kp": (setup.kp,)}
-    settings = PlaySettings(rate=setup.rate, park=setup.park, **stiffness)
+    trajectory = trajectory_of(signals, *types, names=names)
+    stiffness = () if setup.kp is None else (setup.kp,)
+    settings = PlaySettings(rate=setup.rate, park=setup.park, kp=stiffness)
     timing = BusTiming(fd=setup.rate > FASTEST_CLASSIC)
     mobility = None
     if setup.model_is_given:
@@ -739,14 +742,6 @@ def _size(name, size, joint, random):
     return int(random.integers(21 * 8)) if size == "any" else size
 
 
-SHOULDERS = {
-    MOTOR_TYPES[SHOULDER]: SHOULDER_LOAD,
-    "DM8009": SHOULDER_LOAD,
-    "DM4340": (12.4, 12.8),
-}
-"""Motors of the shoulder of an arm that is held still, and how gravity loads it [N m]."""
-
-
 def hold_cases():
     """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
     causes = {
@@ -755,9 +750,9 @@ def hold_cases():
     }
     causes["motor lost"] = lost_motor(SHOULDER)
     cases = []
-    grid = itertools.product(SHOULDERS.items(), (60.0, 180.0), range(5))
-    for (type_name, load), kp, pose in grid:
-        options = {"kp": kp, "shoulder": type_name, "load": load, "pose": pose}
+    grid = itertools.product(SHOULDERS, (60.0, 180.0), range(5))
+    for type_name, kp, pose in grid:
+        options = {"kp": kp, "shoulder": type_name, "pose": pose}
         setup = SetUp("truth", stands=True, duration=2.5, **options)
         for name, cause in causes.items():
             cases.append(Case(name, cause, setup=setup, after=1.0))

@@ -14,8 +14,7 @@ import numpy as np
 from rigs.arms import Y, Z, serial_arm
 from rigs.damiao_rig import fault, later
 from rigs.fault_bench import AT_START, OTHERS, Case
-from rigs.places import MODELS
-from rigs.worn_arms import WornSetUp
+from rigs.worn_arms import WORN_ARMS, WornSetUp
 from robot_sysid.damiao.protocol import DISABLED, Register
 
 SMALL_ARM = serial_arm(
@@ -27,8 +26,7 @@ SMALL_ARM = serial_arm(
 SMALL = WornSetUp(
     model=SMALL_ARM, motors=("DM4340", "DM4340", "DM4340", "DM4310"), seed=3
 )
-UR5E = WornSetUp(model=MODELS / "universal_robots_ur5e" / "ur5e.xml", seed=1)
-SETUPS = {"small": SMALL, "ur5e": UR5E}
+SETUPS = {"small": SMALL, "ur5e": replace(WORN_ARMS["ur5e"], seed=1)}
 SHOULDER = 1
 WRIST = 3
 

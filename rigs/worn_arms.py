@@ -15,20 +15,11 @@ import mujoco
 import numpy as np
 
 from rigs.arms import robot_of
-from rigs.damiao_rig import trajectory_of
-from rigs.fault_bench import (
-    FASTEST_CLASSIC,
-    FILE_RATE,
-    MOTOR_TYPES,
-    PHYSICS_STEP,
-    SetUp,
-)
+from rigs.fault_bench import FILE_RATE, MOTOR_TYPES, PHYSICS_STEP, SetUp, plan_with
 from rigs.places import GUESS, MODELS
 from rigs.rehearsals import ARMS as REHEARSED
 from rigs.wrong_arms import typical_torque, wrong_links
 from robot_sysid.damiao.joints import MOTORS
-from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.model.bodies import write_body
 from robot_sysid.parser import load_robot_model
@@ -183,12 +174,4 @@ def _plan_of(setup):
     motion = plan.scale_amplitudes(larger).evaluate(time)
     tau = np.asarray(ArmDynamics(robot)(motion))
     types = setup.motors or motor_types(tau, np.abs(motion.qd).max(axis=0))
-    names = robot.joint_names if setup.model_is_given else ()
-    signals = motion.time, motion.q, motion.qd, tau
-    trajectory = trajectory_of(signals, *types, names=names)
-    settings = PlaySettings(rate=setup.rate, park=setup.park)
-    timing = BusTiming(fd=setup.rate > FASTEST_CLASSIC)
-    mobility = None
-    if setup.model_is_given:
-        mobility = ArmStepper(robot, trajectory.q[0]).mobility()
-    return Plan(trajectory, settings, timing, mobility=mobility)
+    return plan_with(setup, robot, motion, tau, types)
