@@ -591,7 +591,12 @@ class Rig(MotorRun):
     ):
         trajectory = trajectory_file(folder, motion or swing(n_joints, duration=1.0))
         self.record_path = folder / f"{name}.csv"
-        quick = {"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1}
+        quick = {
+            "ramp_time": 0.1,
+            "approach_time": 0.1,
+            "rest_time": 0.1,
+            "rate": 125.0,
+        }
         plan = Plan(
             trajectory,
             PlaySettings(**{**quick, **settings}),

@@ -102,14 +102,13 @@ def test_a_map_is_read_as_it_was_written(tmp_path_factory, rows):
     assert list(read_joint_map(path)) == written
 
 
+TITLES = "joint,can_id,master_id,direction,offset,verified\n"
+
+
 def test_comments_and_blanks_are_passed_over(tmp_path):
     path = tmp_path / "map.csv"
-    titles = "joint, can_id, master_id, direction, offset, verified"
-    path.write_text(f"# by hand\n{titles}\nelbow, 3, 0x13, -1, 0, \n")
+    path.write_text(f"# by hand\n{TITLES}elbow, 3, 0x13, -1, 0, \n".replace(",", ", "))
     assert read_joint_map(path) == (map_line("elbow", 3, 19, -1),)
-
-
-TITLES = "joint,can_id,master_id,direction,offset,verified\n"
 
 
 @pytest.mark.parametrize(
