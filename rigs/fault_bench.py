@@ -674,7 +674,7 @@ CASES = (
         SPEED, bound=0.3,
     ),
     Case("gear of an unloaded wrist slips", wrist(slip_rate=0.25), SHIFTED, bound=0.7),
-    Case("stale answers", shoulder(is_stale=True), REPEATS),
+    Case("stale answers", shoulder(is_stale=True), SPEED),
     Case("velocity reversed", shoulder(velocity_factor=-1.0), SPEED),
     Case("torque reversed", shoulder(torque_factor=-1.0), DIFFERS),
     Case("supply sags", SaggingSupply(SHOULDER), "reports status 9", quantity=OTHERS),
