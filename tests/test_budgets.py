@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3715,
     "robot_sysid": 11124,
-    "tests": 233799,
+    "tests": 233809,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -53,7 +53,9 @@ def test_a_motion_that_is_refused_is_played_after_a_smaller_one(command):
     printed = command.run("plan", GUESS, *weighing)
     rehearsal = last_command(printed.out)
     file = "first/weighing/damiao_trajectory.csv"
-    assert rehearsal == ["motors", "simulate", file, "--model", str(GUESS)]
+    record = "first/weighing/rehearsed.csv"
+    words = ["motors", "simulate", file, "--model", str(GUESS), "--record", record]
+    assert rehearsal == words
     printed = command.run(*rehearsal)
     words = ["motors", "check", file, "--model", str(GUESS), "--channel", "can0"]
     assert last_command(printed.out) == words
