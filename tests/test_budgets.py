@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3457,
     "robot_sysid/commands": 10810,
-    "robot_sysid/damiao": 30304,
+    "robot_sysid/damiao": 30306,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,

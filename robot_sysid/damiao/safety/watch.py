@@ -165,7 +165,7 @@ class Watch:
             return
         # Friction may carry a joint that moves, but not against its load.
         fed = self.fed_torque
-        is_opposite = np.sign(fed) * self._carried < -self._doubt
+        is_opposite = np.sign(fed) * self._carried < -0.5 * self._doubt
         self._check_load(is_opposite & (np.abs(fed) > LOADED * self._doubt), fed)
         if self._shift is not None and not lowered:
             time = float(np.mean(replies.time))
