@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3457,
     "robot_sysid/commands": 10810,
-    "robot_sysid/damiao": 30306,
+    "robot_sysid/damiao": 30338,
     "robot_sysid/diagnosis": 16141,
     "robot_sysid/dynamics": 3040,
     "robot_sysid/estimate": 29482,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5296,
     "robot_sysid/simulation": 3715,
     "robot_sysid": 11124,
-    "tests": 233809,
+    "tests": 233954,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

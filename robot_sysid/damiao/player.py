@@ -293,11 +293,11 @@ class Player:
     ) -> tuple[Replies, MitCommand]:
         """Command a reference, and pass the arm's state to watch and follower.
 
-        Returns the replies, and the command that was in force when they were sampled. Reference and
-        command, the time of the replies, and the positions and torques of the arm are stored. The
-        gain, which scales stiffness and torque, rises to 1 in the first cycles of a run. Failed
-        motors get no command. If ``braking``, a command beyond the bounds is limited to them,
-        not refused, and motors whose answers are missing are commanded too.
+        Returns the replies, and the command that was in force when they were sampled. Reference,
+        command and the time of the replies are stored. The gain, which scales stiffness and torque,
+        rises to 1 in the first cycles of a run. Failed motors get no command. If ``braking``, a
+        command beyond the bounds is limited to them, not refused, and motors whose answers are
+        missing are commanded too.
         """
         # A share of the ramp: short, so that the arm does not sink; then the standing arm is
         # observed.

@@ -294,7 +294,12 @@ class Watch:
         # with the usual stiffness that takes less than 0.03 rad of its path.
         is_frozen = is_led & follows & (led_by > 0.03)
         is_frozen &= turned_by > 2.0 * self._doubt
-        self._stale |= is_led & ~follows
+        # Answers that stay the same at a velocity of more than two steps per cycle are old, too.
+        moves = (
+            np.abs(feedback.velocity) * self._settings.period
+            > 2.0 * self._position_step
+        )
+        self._stale = (is_same & moves) | (is_led & ~follows)
         self.stuck |= is_frozen
         self.to_switch_off |= is_frozen
         for j in np.flatnonzero(is_frozen | (is_led & ~follows)).tolist():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -100,6 +101,20 @@ def test_frames_too_many_are_named_unless_there_are_few(counts, words):
 
 
 # --- position, speed and torque -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("velocity", "is_old"), [(0.0, False), (0.9, True)])
+def test_answers_that_stay_the_same_though_they_report_motion_are_not_trusted(
+    velocity, is_old
+):
+    """The stop must not use them, whatever row of the watch began it."""
+    watched = watch()
+    command = mit_command(np.zeros(2), 0.0, KP, KD)
+    signals = [0.0, 0.0], [0.0, velocity], [0.0, -KD * velocity]
+    with pytest.raises(HardwareAbort) if is_old else contextlib.nullcontext():
+        for k in range(9):
+            watched.check(cycle(k, command, True, *signals)[0], command, rising=True)
+    assert watched.trusted_joints.tolist() == [True, not is_old]
 
 
 def swing(
