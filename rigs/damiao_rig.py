@@ -16,9 +16,9 @@ from rigs.links import RememberingLink
 from rigs.recordings import read_recording
 from robot_sysid.damiao import execution, protocol
 from robot_sysid.damiao.bus import GuardedLink, LinkError, inspect_bus
+from robot_sysid.damiao.checks.preflight import bus_checks
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, damiao_joints
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.preflight import bus_checks
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand, Register
 from robot_sysid.damiao.safety.holding import file_holding
 from robot_sysid.damiao.safety.plausibility import Replies

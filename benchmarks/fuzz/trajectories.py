@@ -15,8 +15,8 @@ from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
 from rigs import arms
 from robot_sysid.config import PlanConfig
+from robot_sysid.damiao.checks.preflight import plan_checks
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.preflight import plan_checks
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,

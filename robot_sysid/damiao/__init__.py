@@ -19,9 +19,9 @@ import numpy as np
 from robot_sysid.api.keywords import with_keywords
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.checks.preflight import motor_ratings, require_playable
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.player import PlayReport, StopRequest
-from robot_sysid.damiao.preflight import motor_ratings, require_playable
 from robot_sysid.damiao.trajectory import export_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.pipeline.motors import ArmMotors

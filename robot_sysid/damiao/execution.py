@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress, open_bus
 from robot_sysid.damiao.bus import GuardedLink, Inspection, SimulatedClock, SystemClock
+from robot_sysid.damiao.checks import preflight
 from robot_sysid.damiao.joints import (
     MASTER_ID_OFFSET,
     DamiaoJoint,
@@ -207,7 +207,7 @@ class MotorRun:
         """Return a plan's checks that need no bus."""
         checks = [*preflight.plan_checks(plan)]
         if self.robot is not None:
-            from robot_sysid.damiao.model_check import contact_checks, torque_checks
+            from robot_sysid.damiao.checks.model import contact_checks, torque_checks
 
             checks += contact_checks(plan, self._problem)
             checks += torque_checks(plan, self.robot)
@@ -231,7 +231,7 @@ class MotorRun:
         checks = [*preflight.bus_checks(plan, inspection)]
         q = joint_positions(plan.trajectory.joints, inspection)
         if self.robot is not None and np.all(np.isfinite(q)):
-            from robot_sysid.damiao.model_check import transfer_checks
+            from robot_sysid.damiao.checks.model import transfer_checks
 
             checks += transfer_checks(self._problem, q, plan.trajectory.q[0])
         if real:

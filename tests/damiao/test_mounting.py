@@ -11,8 +11,8 @@ import pytest
 from rigs.damiao_rig import lifted_swing, map_line, swing, trajectory_of
 from rigs.places import EXAMPLE
 from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.checks.preflight import bus_checks, stops
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
-from robot_sysid.damiao.preflight import bus_checks, stops
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, Register
 from robot_sysid.damiao.safety.holding import file_holding
 from robot_sysid.damiao.simulated import simulated_motor

@@ -29,8 +29,8 @@ from rigs.damiao_rig import (
 from rigs.places import ROOT
 from robot_sysid.damiao import recorder
 from robot_sysid.damiao.bus import LinkError
+from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.preflight import stops
 from robot_sysid.damiao.protocol import (
     DISABLE,
     ENABLED,

@@ -27,8 +27,8 @@ from robot_sysid.commands.motors.setup import (
 )
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.execution import LIMIT_OPTIONS, ArmFiles
-from robot_sysid.damiao.preflight import stops
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
     HOLD_SETTINGS,

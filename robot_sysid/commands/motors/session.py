@@ -13,10 +13,10 @@ import numpy as np
 
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, inspect_bus
+from robot_sysid.damiao.checks.preflight import require_playable
 from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, matching_types
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.preflight import require_playable
 from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_text
 from robot_sysid.damiao.references import Activity
 from robot_sysid.damiao.settings import Plan

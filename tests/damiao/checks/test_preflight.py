@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from rigs.damiao_rig import MotorBus, swing, trajectory_of
 from robot_sysid.commands.motors.setup import SetupOptions
 from robot_sysid.damiao.bus import inspect_bus
-from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.preflight import (
+from robot_sysid.damiao.checks.preflight import (
     bus_checks,
     direction_checks,
     plan_checks,
     watchdog_checks,
 )
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import BusTiming, Register, bus_load
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.errors import InputError

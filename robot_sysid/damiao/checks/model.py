@@ -12,8 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot_sysid.damiao.checks.preflight import (
+    SMALLER,
+    StatedLimits,
+    limit_checks,
+    note,
+    stop,
+)
 from robot_sysid.damiao.joints import peak_torques
-from robot_sysid.damiao.preflight import SMALLER, StatedLimits, limit_checks, note, stop
 from robot_sysid.damiao.safety.holding import torque_doubt
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from rigs import arms
 from rigs.damiao_rig import rest_to_rest, swing, trajectory_of
-from robot_sysid.damiao.execution import NO_LIMITS
-from robot_sysid.damiao.model_check import (
+from robot_sysid.damiao.checks.model import (
     contact_checks,
     torque_checks,
     transfer_checks,
 )
-from robot_sysid.damiao.preflight import plan_checks
+from robot_sysid.damiao.checks.preflight import plan_checks
+from robot_sysid.damiao.execution import NO_LIMITS
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.problem import build_problem
