@@ -235,7 +235,9 @@ class MotionConfig(Config):
             if self.trajectory.save is None:
                 yield "--output-dir", path
         if self.motors.export_damiao:
-            yield "--output-dir", self.output.output_dir / file_access.DAMIAO_NAME
+            folder = self.output.output_dir
+            yield "--output-dir", folder / file_access.DAMIAO_NAME
+            yield "--output-dir", folder / file_access.DAMIAO_WEIGHT_NAME
         yield from super()._output_files()
 
 

@@ -29,10 +29,15 @@ from robot_sysid.results.written_model import write_model
 
 # Files that a command writes after the results.
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
-RESULT_NAMES = (*file_access.RESULT_NAMES, file_access.DAMIAO_NAME, "report.html")
+RESULT_NAMES = (
+    *file_access.RESULT_NAMES,
+    file_access.DAMIAO_NAME,
+    file_access.DAMIAO_WEIGHT_NAME,
+    "report.html",
+)
 """Result files of all commands and releases; a planned motion is no result."""
 MotorFile = Callable[[file_access.AtomicFiles, Path], tuple[Sequence[Path], list[str]]]
-"""Drafts the motor trajectory in a folder; returns its path and lines on it."""
+"""Drafts the motor trajectory in a folder; returns the paths of its files and lines on them."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,12 @@ from robot_sysid.solver import identify_parameters
 ARM = serial_arm((Y, "1 .2 0"))
 SHORT = ("--duration", "1", "--sample-rate", "100", "--seed", "1")
 EXPORT = ("--export-damiao", *(("--motor-type", "DM4340") * 2))
-RESULTS = ["damiao_trajectory.csv", "params.json", "updated_model.xml"]
+RESULTS = [
+    "damiao_trajectory.csv",
+    "damiao_trajectory_weight.csv",
+    "params.json",
+    "updated_model.xml",
+]
 WITH_OPTIONS = sorted([*RESULTS, "run.toml"])
 
 

@@ -199,7 +199,8 @@ class PlanResult:
 
     def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the trajectory (.json), its samples (.csv) and, of a plan for motors, beside them
-        the file that they play, ``damiao_trajectory.csv``; return the paths.
+        the file that they play, ``damiao_trajectory.csv``, and what carries the arm in it,
+        ``damiao_trajectory_weight.csv``; return the paths in this order.
 
         Raises:
             SysidError: the motion must not be played; says why.

@@ -23,10 +23,11 @@ from robot_sysid.damiao.checks.preflight import motor_ratings, require_playable
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory
+from robot_sysid.damiao.weight_file import export_weight
 from robot_sysid.errors import InputError
 from robot_sysid.pipeline.motors import ArmMotors
 from robot_sysid.records import Limits, RobotModel
-from robot_sysid.records.file_access import temporary_folder
+from robot_sysid.records.file_access import DAMIAO_NAME, temporary_folder
 from robot_sysid.records.option_fields import given_values
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
             lines.append(f"  {joint.name} ({joint.motor_type}): {share:.1f} %{remedy}")
         return lines
 
-    return ArmMotors(limits, execution.LIMITS, write)
+    return ArmMotors(limits, execution.LIMITS, write, export_weight)
 
 
 Say = Callable[[str], None]
@@ -141,9 +142,9 @@ def _trajectory_options(
             "the plan is for no motors; give rs.plan export_damiao and motor_type"
         )
     with temporary_folder() as folder:
-        *_, path = trajectory.save(folder / "plan.json")
+        trajectory.save(folder / "plan.json")
         yield {
-            "trajectory": path,
+            "trajectory": folder / DAMIAO_NAME,
             "model": config.model.path,
             **given_values(config.model),
         }

@@ -41,6 +41,7 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
+from robot_sysid.damiao.weight_file import weight_path
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
@@ -170,12 +171,14 @@ class MotorRun:
         robot = self.robot
         mobility = None
         if robot is not None:
+            from robot_sysid.damiao.checks.model import with_weight_of
             from robot_sysid.simulation.plant import ArmStepper
 
             mobility = ArmStepper(robot, trajectory.q[0]).mobility()
+            trajectory = with_weight_of(robot, trajectory)
         recording = record_from(RecordingOptions, self.values)
         inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
-        recording.require_free(*inputs)
+        recording.require_free(*inputs, weight_path(trajectory.path))
         return Plan(
             replace(trajectory, joints=self._with_joint_map(trajectory.joints)),
             settings=replace(record_from(PlaySettings, self.values), **settings),

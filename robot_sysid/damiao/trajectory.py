@@ -9,6 +9,7 @@
 Where replies do not come on CAN id + 0x10, ``,master_id=...`` may be appended to a joint's line.
 
 The export clamps values to the motors' limits and returns the share of samples that it clamped.
+What carries and accelerates the arm stands in a file beside it (``damiao/weight_file``).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.joints import MASTER_ID_OFFSET, DamiaoJoint, motor_spec
+from robot_sysid.damiao.weight_file import belongs_to, read_weight, weight_path
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.file_access import read_text
@@ -51,7 +53,13 @@ class DamiaoTrajectory:
         time: increasing times (N,) of the rows, from zero on [s].
         q: positions (N, n) [rad].
         qd: velocities (N, n) [rad/s].
-        tau: feed-forward torques (N, n) [N m].
+        tau: feed-forward torques (N, n) [N m], those of the file's own speed.
+        weight: torques (N, n) that carry the arm at rest in each row's pose: gravity and springs,
+            no friction [N m]. None where it is not known.
+        inertia: torques (N, n) of accelerations, Coriolis and rotors of the file's own motion, no
+            friction and no damping [N m]. None where ``weight`` is.
+        foreign_weight: file beside the trajectory that is not its weight, but that of another one;
+            nothing of it is used. None where there is none.
     """
 
     path: Path
@@ -60,6 +68,9 @@ class DamiaoTrajectory:
     q: Array
     qd: Array
     tau: Array
+    weight: Array | None = None
+    inertia: Array | None = None
+    foreign_weight: Path | None = None
 
     @property
     def n_joints(self) -> int:
@@ -77,13 +88,44 @@ class DamiaoTrajectory:
         They are (n,) each for one time. Motors are sent what stands on these lines. Outside of the
         file its first or last row holds.
         """
+        return self._on_lines(time, self.q, self.qd, self.tau)
+
+    def _on_lines(self, time: Array, *signals: Array) -> list[Array]:
+        """Return signals (N, n) on the straight lines between rows at times (K,), or one time."""
         row = self._rows_at(time)
         since = (time - self.time[row]) / (self.time[row + 1] - self.time[row])
         share = np.clip(since, 0.0, 1.0)[..., None]
         return [
-            signal[row] + share * (signal[row + 1] - signal[row])
-            for signal in (self.q, self.qd, self.tau)
+            signal[row] + share * (signal[row + 1] - signal[row]) for signal in signals
         ]
+
+    def needed(self, time: float, speed: float) -> tuple[Array, Array]:
+        """Return the torque that the motion needs at a speed, and the weight in it, (n,) [N m].
+
+        Along the same path at a share of the file's speed, torque = weight + speed^2 inertia: the
+        pose alone carries, and accelerations and products of velocities shrink with the square.
+        Friction and damping are not in it. Where the weight is not known it is NaN, and the torque
+        is that of the file, which is right at its own speed alone.
+
+        Args:
+            time: of the file, not of playing it [s]; beyond its ends its first or last row holds.
+            speed: factor of the file's velocities.
+        """
+        moment = np.array(time)
+        if self.weight is None or self.inertia is None:
+            (torque,) = self._on_lines(moment, self.tau)
+            return torque, np.full(self.n_joints, np.nan)
+        weight, inertia = self._on_lines(moment, self.weight, self.inertia)
+        return weight + speed**2 * inertia, weight
+
+    def at_speed(self, speed: float) -> DamiaoTrajectory:
+        """Return this trajectory with the torques that are fed when it is played at a speed.
+
+        Positions, velocities and times stay those of the file. See ``needed``.
+        """
+        if self.weight is None or self.inertia is None:
+            return self
+        return replace(self, tau=self.weight + speed**2 * self.inertia)
 
     @property
     def qdd(self) -> Array:
@@ -159,11 +201,23 @@ def trajectory_columns(n_joints: int) -> list[str]:
 
 
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
-    """Return the trajectory in a file.
+    """Return the trajectory in a file, with its weight where that stands beside it.
 
-    InputError where the file cannot be read or is no trajectory; it names the line that is wrong.
+    InputError where a file cannot be read or is not what it should be; it names the line that is
+    wrong.
     """
-    path = Path(path)
+    trajectory = _read_trajectory(Path(path))
+    beside = weight_path(path)
+    if not beside.exists():
+        return trajectory
+    if not belongs_to(beside, trajectory.path):
+        return replace(trajectory, foreign_weight=beside)
+    weight, inertia = read_weight(beside, len(trajectory.time), trajectory.n_joints)
+    return replace(trajectory, weight=weight, inertia=inertia)
+
+
+def _read_trajectory(path: Path) -> DamiaoTrajectory:
+    """Return the trajectory in a file, without its weight; raises as ``read_damiao_trajectory``."""
     lines = read_text(path, "give a trajectory file").splitlines()
     # Comment lines, one line of column titles, then one line of numbers per row.
     comments = list(takewhile(lambda line: line.startswith("#"), lines))

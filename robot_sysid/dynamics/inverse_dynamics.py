@@ -162,6 +162,21 @@ class ArmDynamics:
             tau[k] = data.qfrc_inverse[dof_index]
         return tau
 
+    def weight_and_inertia(self, motion: Motion) -> tuple[Array, Array]:
+        """Return two parts (N, n) of the torque of a motion, without friction and damping [N m].
+
+        The first is the torque at rest in each pose: gravity and springs. The second is that of
+        accelerations, Coriolis and rotors, which grows with the square of the speed at which the
+        same path is followed. All damping is odd in the velocity, and these are even: so the mean
+        of a motion forwards and backwards has none of a model's nonlinear damping or tendons.
+        """
+        q = motion.q
+        at_rest = np.zeros_like(q)
+        weight = self.torque(q, at_rest, at_rest)
+        forwards = self.torque(q, motion.qd, motion.qdd)
+        backwards = self.torque(q, -motion.qd, motion.qdd)
+        return weight, 0.5 * (forwards + backwards) - weight
+
 
 class BeyondRigidBodies:
     """Torque of armature, springs, tendons and actuators, which no link's parameters make.

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from robot_sysid.records import Array, Limits, RobotModel
 
     MotionChunk = tuple[Array, Array, Array, Array]
+    WeightChunk = tuple[Array, Array, Array]
 
 _PACKAGE = "robot_sysid.damiao"
 _COMMANDS = "robot_sysid.commands.motors"
@@ -42,11 +43,15 @@ class ArmMotors:
         write: writes a motion to a file that the motors play, and returns lines on what was
             clamped. The motion comes in stretches: time (N,) [s], positions, speeds and
             feed-forward torques (N, n) [rad, rad/s, N m].
+        write_weight: writes what carries and accelerates the arm in that motion, from the SHA-256
+            of the motion's file. It comes in stretches, too: time (N,) [s], and two torques (N, n)
+            as ``ArmDynamics.weight_and_inertia`` returns them [N m].
     """
 
     limits: Limits
     kept_options: Sequence[str]
     write: Callable[[Iterable[MotionChunk], TextIO], list[str]]
+    write_weight: Callable[[Iterable[WeightChunk], str, TextIO], None]
 
 
 @contextmanager

@@ -17,7 +17,13 @@ from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.motors import ArmMotors, arm_motors
 from robot_sysid.pipeline.next_steps import step_after, step_with_motion
 from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
+from robot_sysid.records.file_access import (
+    DAMIAO_NAME,
+    DAMIAO_WEIGHT_NAME,
+    AtomicFiles,
+    atomic_files,
+    file_sha256,
+)
 from robot_sysid.records.messages import NextStep, percent
 from robot_sysid.records.option_fields import (
     command_arguments,
@@ -29,7 +35,7 @@ from robot_sysid.wording import option_name
 
 if TYPE_CHECKING:
     from robot_sysid.motion.prediction import Prediction
-    from robot_sysid.pipeline.motors import MotionChunk
+    from robot_sysid.pipeline.motors import MotionChunk, WeightChunk
 
 
 def predict_plan(
@@ -222,16 +228,26 @@ def draft_motor_file(
 ) -> tuple[tuple[Path, ...], list[str]]:
     """Draft a motion for motors, if an option asks for it, among files in a folder.
 
+    Beside it stands the torque that carries and accelerates the arm, without which motors that play
+    the motion slower would be fed the torque of its full speed.
+
     Returns:
-        The path that it will have, and lines on what was clamped of the commands.
+        The paths of both, the motion first, and lines on what was clamped of the commands.
     """
     motors = arm_motors(config.motors, robot)
     if motors is None:
         return (), []
     path = folder / DAMIAO_NAME
-    commands = motor_commands(robot, plan, config.trajectory.sample_rate)
+    weight_path = folder / DAMIAO_WEIGHT_NAME
+    rate = config.trajectory.sample_rate
     with files.open(path) as file:
-        return (path,), motors.write(commands, file)
+        lines = motors.write(motor_commands(robot, plan, rate), file)
+    # The motion is computed a second time: its hash is known when its file is complete, and a long
+    # motion is not kept in memory.
+    sha256 = file_sha256(files.draft_of(path))
+    with files.open(weight_path) as file:
+        motors.write_weight(weights_of_motion(robot, plan, rate), sha256, file)
+    return (path, weight_path), lines
 
 
 def motor_commands(
@@ -253,3 +269,17 @@ def motor_commands(
         smooth = robot.friction.dry(motion.qd, lambda qd: np.tanh(qd / speed))
         tau = torque(motion) + smooth - robot.friction.dry(motion.qd)
         yield motion.time, motion.q, motion.qd, tau
+
+
+def weights_of_motion(
+    robot: RobotModel, plan: MotionPlan, rate: float
+) -> Iterator[WeightChunk]:
+    """Yield stretches of what carries and accelerates an arm in a motion, sampled at a rate [Hz].
+
+    Each is (time (N,) [s], and two torques (N, n) as ``ArmDynamics.weight_and_inertia`` returns
+    them [N m or N]).
+    """
+    arm = ArmDynamics(robot)
+    for motion in motion_chunks(plan, rate):
+        weight, inertia = arm.weight_and_inertia(motion)
+        yield motion.time, weight, inertia

@@ -8,6 +8,7 @@ InputError.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
 import os
@@ -32,6 +33,8 @@ SETTINGS_NAME = "trajectory.toml"
 """Settings that a plan writes beside its motion, from which it can be planned again."""
 DAMIAO_NAME = "damiao_trajectory.csv"
 """Name of the file with a motion for Damiao motors."""
+DAMIAO_WEIGHT_NAME = "damiao_trajectory_weight.csv"
+"""Name of the file beside it with the torque that carries and accelerates the arm."""
 CARD_NAME = "payload_card.txt"
 """Name of the file with a payload in the form of each controller."""
 SIMULATOR_CARD_NAMES = {key: f"{key}_card.py" for key in SIMULATORS}
@@ -50,6 +53,8 @@ RESULT_NAMES = (
 """Names of files that any run may write to its output folder."""
 # Begin of the name of a draft, a hidden file that is renamed when it is complete.
 _DRAFT_PREFIX = ".robot-sysid-"
+# Bytes of a file that are in memory at once while it is hashed.
+_PIECE = 2**20
 # First line of a file that Git LFS leaves in the place of a large one.
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 
@@ -93,6 +98,15 @@ def read_text(path: Path, remedy: str) -> str:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read {path}: {error_text(error)}; {remedy}") from None
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes in hexadecimal digits, read in pieces."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        for piece in iter(lambda: file.read(_PIECE), b""):
+            digest.update(piece)
+    return digest.hexdigest()
 
 
 def read_json(path: Path, remedy: str) -> Any:

@@ -13,6 +13,7 @@ from rigs.notes import NoteRecorder
 from rigs.places import GUESS
 from rigs.results import theta_in
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
+from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import load_trajectory
@@ -23,7 +24,7 @@ from robot_sysid.pipeline.stages import (
     self_test_verdict,
     step_after_run,
 )
-from robot_sysid.records import ITSELF
+from robot_sysid.records import ITSELF, Motion
 from robot_sysid.results.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import Quantity, Verdict
 from robot_sysid.trajectory import CHUNK
@@ -107,6 +108,16 @@ def test_the_motor_trajectory_carries_the_torque_of_the_motion(arm):
     holding = ArmDynamics(load_robot_model(arm)).torque(q, 0.0 * q, 0.0 * q)
     np.testing.assert_allclose(rows[:1, 3::3], holding, atol=1e-3)
     assert np.max(np.abs(holding)) > 0.1
+    # Slower, it is what the file beside it says: no more than this arm's weight, at any time.
+    trajectory = read_damiao_trajectory(written.files[1])
+    arm_dynamics = ArmDynamics(load_robot_model(arm))
+    still = np.zeros_like(trajectory.q)
+    weight = arm_dynamics.torque(trajectory.q, still, still)
+    np.testing.assert_allclose(trajectory.weight, weight, atol=2e-3)
+    motion = Motion(trajectory.time, trajectory.q, trajectory.qd, trajectory.qdd)
+    rigid = arm_dynamics.torque(motion.q, motion.qd, motion.qdd)
+    # Accelerations from velocities with four decimals.
+    np.testing.assert_allclose(trajectory.at_speed(1.0).tau, rigid, atol=0.05)
 
 
 def test_a_motion_keeps_the_peak_torque_of_the_motors_it_is_exported_for(arm):

@@ -22,16 +22,34 @@ from robot_sysid.damiao.checks.preflight import (
 from robot_sysid.damiao.joints import peak_torques
 from robot_sysid.damiao.safety.holding import torque_doubt
 from robot_sysid.damiao.settings import Plan
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array, Limits, Motion, RobotModel
 from robot_sysid.records.messages import Remark
+from robot_sysid.records.usual_errors import EXPECTED_SCALES, LINK
 from robot_sysid.wording import with_option_names
 
 # Remedy for an arm that needs more torque than its model says, or than its motors make.
 _WEIGH_FIRST = "weigh the arm with a smaller motion first (see {for_=weight} of plan)"
+
+
+USUAL_DIFFERENCE = EXPECTED_SCALES[0] * LINK / 100.0
+"""Share of a joint's torque by which the file of one model usually differs from another model of
+the arm: that by which a link's mass is expected to be off, 20 %."""
+
+
+def with_weight_of(robot: RobotModel, trajectory: DamiaoTrajectory) -> DamiaoTrajectory:
+    """Return a trajectory with the torques that carry and accelerate a model's arm in it.
+
+    The accelerations are those of the file's velocities. The model's friction and damping are left
+    out: they are the part of a model that is least like its arm.
+    """
+    motion = Motion(trajectory.time, trajectory.q, trajectory.qd, trajectory.qdd)
+    weight, inertia = ArmDynamics(robot).weight_and_inertia(motion)
+    return replace(trajectory, weight=weight, inertia=inertia, foreign_weight=None)
 
 
 def transfer_checks(
@@ -69,8 +87,9 @@ def contact_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
 def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     """Yield a stop for each joint whose motion needs more torque than its motor can make.
 
-    Further stops are yielded where the file feeds forward another torque than the motion needs. The
-    needed torques are those of ``robot``, the model of the arm.
+    Further stops are yielded where the file feeds forward another torque than the motion needs, and
+    notes where it differs by more than models of an arm usually do. The needed torques are those of
+    ``robot``, the model of the arm.
     """
     arm = ArmDynamics(robot)
     trajectory = plan.trajectory
@@ -100,4 +119,12 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
             f"or arm: it is off by {error[j]:.1f} N·m where {robot.path.name} needs "
             f"{needed_rms[j]:.1f} (rms), and it cannot follow; export the file again for this arm, "
             f"or {weigh_first}"
+        )
+    # What is fed is the model's torque: where links are as far off as they usually are, no word.
+    is_other = (error > doubt) & (error > USUAL_DIFFERENCE * needed_rms) & ~is_foreign
+    for j in np.flatnonzero(is_other):
+        yield note(
+            f"{joints[j].label}: the torque that {robot.path.name} needs is fed, and not that of "
+            f"the file, which differs by {error[j]:.1f} N·m of {needed_rms[j]:.1f} (rms); if the "
+            "file is right, give the model that it was made with"
         )

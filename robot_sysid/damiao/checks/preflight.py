@@ -25,6 +25,7 @@ from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
 from robot_sysid.damiao.settings import Plan, joint_positions
 from robot_sysid.damiao.trajectory import ROUNDING, DamiaoTrajectory
+from robot_sysid.damiao.weight_file import weight_path
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import LIMITED, Limits
 from robot_sysid.records.messages import Level, Remark
@@ -86,8 +87,9 @@ def limit_checks(
 ) -> Iterator[Remark]:
     """Yield a finding for each joint and each limit that a trajectory exceeds.
 
-    The slope of the positions from row to row counts as a velocity too. What the rounding of the
-    file's numbers may make is left to each quantity.
+    The slope of the positions from row to row counts as a velocity too, and the torque is the
+    larger one of the file's and of that which is fed at this speed. What the rounding of the file's
+    numbers may make is left to each quantity.
 
     Args:
         trajectory: with n joints.
@@ -99,7 +101,9 @@ def limit_checks(
     slopes = np.abs(trajectory.slopes) - 2.0 * ROUNDING / step
     velocity[:-1] = np.maximum(velocity[:-1], slopes)
     acceleration = speed**2 * trajectory.qdd
-    signals = trajectory.q, speed * velocity, acceleration, trajectory.tau
+    fed = trajectory.at_speed(speed).tau
+    torque = np.where(np.abs(fed) > np.abs(trajectory.tau), fed, trajectory.tau)
+    signals = trajectory.q, speed * velocity, acceleration, torque
     # A velocity is rounded at both ends of a step.
     rounding = ROUNDING * np.array([1.0, 1.0, 2.0 / step.min(), 1.0])
     labels = [joint.label for joint in trajectory.joints]
@@ -154,6 +158,26 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
         if limits is not None:
             stated.insert(0, StatedLimits(limits, owner, remedy))
     yield from limit_checks(trajectory, settings.speed, stated)
+    yield from weight_checks(trajectory, settings.speed)
+
+
+def weight_checks(trajectory: DamiaoTrajectory, speed: float) -> Iterator[Remark]:
+    """Yield notes where what carries the arm is not known at the speed of a run.
+
+    At the file's own speed its torque is the right one without that.
+    """
+    foreign = trajectory.foreign_weight
+    if foreign is not None:
+        yield note(
+            f"{foreign} is not used: it was written with another trajectory than "
+            f"{trajectory.path.name}, or one of the two was changed; export again"
+        )
+    if trajectory.weight is None and speed < 1.0:
+        yield note(
+            f"what carries the arm is not known at this speed: the torque of the file, which is "
+            f"that of full speed, is fed, and no load is judged; give {option_name('model')}, or "
+            f"export again, which writes {weight_path(trajectory.path).name} beside the file"
+        )
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
