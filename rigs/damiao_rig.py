@@ -469,7 +469,8 @@ def state(position=0.0, velocity=0.0, torque=0.0, status=1, mos=30, rotor=30):
 def undoubted(answered, time, feedback, requested, command=None):
     """Replies in a cycle in which nothing was doubted, surplus or foreign."""
     no_count = np.zeros(len(answered), int)
-    counts = no_count != 0, 0.0 * no_count, no_count, no_count
+    none = no_count != 0
+    counts = none, none, 0.0 * no_count, no_count, no_count
     return Replies(answered, time, feedback, requested, command, *counts)
 
 

@@ -384,7 +384,7 @@ class Player:
         # controls: stiffness could push it on.
         is_loose = watch.stuck & (self._follower.stiffness == 0.0) & np.isfinite(q)
         position = np.where(is_loose, q, self._session.sent_position)
-        carried = CarriedStop(
+        return CarriedStop(
             settings,
             reference._replace(position=position),
             q,
@@ -393,9 +393,8 @@ class Player:
             stuck=watch.stuck,
             limits=self._session.limits,
             deviation=self._session.torque_deviation,
+            limp=is_loose | self._session.misled,
         )
-        carried.stiffness = np.where(is_loose, 0.0, carried.stiffness)
-        return carried
 
     def _stop_phase(self, reference: Follower, duration: float) -> None:
         """Follow a reference in a stop, at most for ``duration`` [s]; errors are suppressed.

@@ -178,7 +178,8 @@ class MotorSession:
     def believed_motion(self) -> tuple[Array, Array]:
         """Positions and velocities (n,) [rad, rad/s] of the last answers that the filter believed.
 
-        They are NaN before the first answer, and must not be changed.
+        A refused position is replaced by that to which the speed has led. They are NaN before the
+        first answer, and must not be changed.
         """
         return self._filter.last.q, self._filter.last.qd
 
@@ -186,6 +187,11 @@ class MotorSession:
     def torque_deviation(self) -> Array:
         """Reported torque minus the commanded one (n,) of these answers [N m]."""
         return self._filter.last.torque_error
+
+    @property
+    def misled(self) -> Mask:
+        """Whether each motor's own control (n,) uses a position that was refused."""
+        return self._filter.misled
 
     def open_range(self) -> None:
         """Widen the range of commanded positions to that of the frames; speeds stay limited.
@@ -310,7 +316,7 @@ class MotorSession:
             self._link.send(CanFrame(self.joints[j].can_id, self._sent_data[j]))
         time, feedback = self._receive(commanded, until)
         came = feedback.status != NO_STATUS
-        believed, jump = self._filter.believe(came, time, feedback, acted)
+        believed, followed, jump = self._filter.believe(came, time, feedback, acted)
         return Replies(
             answered=believed,
             time=time,
@@ -318,6 +324,7 @@ class MotorSession:
             requested=commanded,
             command=self._command,
             doubted=came & ~believed,
+            followed=followed,
             jump=jump,
             surplus=self._outstanding.surplus.copy(),
             foreign=self._foreign.copy(),

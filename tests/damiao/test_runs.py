@@ -368,7 +368,7 @@ TABLE = (
     Line("power stage hot", fault(1, temperature_mos=81), BRAKES, "motor 2 is at 81 deg C"),
     Line("winding hot", fault(1, temperature_rotor=81), BRAKES, "motor 2 is at 81 deg C"),
     Line("velocity scaled", fault(1, velocity_factor=0.8), SLOWLY, "in speed: in a second", LOOSE),
-    Line("encoder slips 0.15 rad", fault(1, shift=0.15), SLOWLY, "what cannot be true"),
+    Line("encoder slips 0.15 rad", fault(1, shift=0.15), BRAKES, "what cannot be true"),
     Line("stall", lambda rig: rig.clock.stall(0.05), BRAKES, "late for a control cycle, limit 20"),
     Line("long stall", lambda rig: rig.clock.stall(0.2), TRIPS, "ms late for a control cycle"),
     Line("adapter turns slow", slow_adapter(5e-3, 16e-3), SLOWLY, "did not answer in time"),

@@ -25,7 +25,8 @@ class BusHealth:
         settings: settings of the run.
 
     Attributes:
-        silent: (n,) number of cycles in a row without an answer.
+        silent: (n,) number of cycles in a row without a believed answer.
+        unheard: (n,) the same without one that carries the believed position on, either.
         total_missed: (n,) number of all commands without an answer.
         failed: (n,) whether the motor reported that it does not drive any more.
     """
@@ -37,6 +38,7 @@ class BusHealth:
         # Number of doubted answers in a row, and decaying counts (3, n) of commands without answer,
         # answers without command, and commands of others.
         self.silent, self._doubted, self.total_missed = np.zeros((3, n_joints), int)
+        self.unheard = np.zeros(n_joints, int)
         self._counts = np.zeros((3, n_joints))
         self.failed = np.zeros(n_joints, bool)
 
@@ -48,6 +50,8 @@ class BusHealth:
         unanswered = replies.requested & ~replies.answered
         counts = [self.silent + 1, self._doubted + replies.doubted]
         self.silent, self._doubted = np.where(replies.answered, 0, counts)
+        is_heard = replies.answered | replies.followed
+        self.unheard = np.where(is_heard, 0, self.unheard + 1)
         self.total_missed += unanswered
         events = np.array([unanswered, replies.surplus, replies.foreign])
         self._counts = 0.95 * self._counts + events

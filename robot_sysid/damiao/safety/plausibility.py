@@ -4,7 +4,10 @@ Serial adapters have no checksum between the bus and the computer, so one damage
 a position wrong by radians or a healthy motor look faulty. ``SampleFilter`` believes a sample that
 is plausible after the last believed one: the change of position agrees with the velocities, the
 velocity changed no faster than a motor can change it, and the reported torque changed as the
-command did. An implausible sample is not used, unless the next sample confirms it.
+command did. An implausible velocity, torque, status or temperature is not used, unless the next
+sample confirms it. An implausible position is never used, however often it is repeated and however
+long ago the last believed one is: the reported speeds carry the believed position on, and a
+position that disagrees with it stays refused until the run ends.
 
 Every command to a motor has to keep its joint's ``Limits`` (``confine``).
 """
@@ -43,8 +46,10 @@ class Replies:
         requested: (n,) whether the joint was sent a command or a request.
         command: command in force now as the motors read it, or None.
         doubted: (n,) whether an answer came that is not believed.
-        jump: (n,) change of position that two samples in a row confirm although no joint can move
-            so fast [rad]; 0 where there is none.
+        followed: (n,) whether an answer that is not believed has a speed that is, by which the
+            believed position was carried on.
+        jump: (n,) refused change of position that the motor's own control follows, as its torque
+            or two samples in a row say [rad]; 0 where there is none.
         surplus: (n,) number of answers beyond the one that was due.
         foreign: (n,) number of commands that another program sent to this joint's motor.
     """
@@ -55,6 +60,7 @@ class Replies:
     requested: Mask
     command: MitCommand | None
     doubted: Mask
+    followed: Mask
     jump: Array
     surplus: Codes
     foreign: Codes
@@ -84,17 +90,57 @@ class _Samples(NamedTuple):
         return _Samples._make(map(partial(np.where, selected), self, other))
 
 
+class _Doubts(NamedTuple):
+    """What is implausible in samples after earlier ones; every field is (n,).
+
+    Attributes:
+        jumps: the position changed by more than a joint can move.
+        accelerates: the velocity changed by more than a blow explains.
+        bends: reported minus commanded torque changed by more than a motor may be off.
+        heats: the temperature changed faster than a winding's.
+    """
+
+    jumps: Mask
+    accelerates: Mask
+    bends: Mask
+    heats: Mask
+
+    @property
+    def none(self) -> Mask:
+        """Whether nothing is implausible (n,)."""
+        return ~(self.jumps | self.accelerates | self.bends | self.heats)
+
+
+FASTEST = 200.0
+"""Largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on 0.035 kg m^2."""
+LONGEST_SPURT = 0.025
+"""Time for which a joint may accelerate like that [s]: it then moves at 5 rad/s, a motor's no-load
+speed. Time that passes beyond it makes no position more credible."""
+SLACK = 0.05
+"""By how much a position may leave the way of its speed [rad]: a slip of 0.15 has to be seen."""
+BLOW = 1.0
+"""By how much a blow or a stop changes the velocity in a cycle of 4 ms [rad/s]."""
+MOST_BEND = 0.3
+"""By which share of the peak torque a sound motor's torque may leave its command at once."""
+MOST_HEATING = 5.0
+"""By how much two temperatures in a row may differ [deg C]; windings take seconds for a degree."""
+
+
 class SampleFilter:
     """Decides which answers of n joints are believed; holds the last believed samples.
 
-    A joint's last answer that was not believed is suspect: the next one may confirm it.
+    A joint's last answer that was not believed is suspect: the next one may confirm it, but for its
+    position.
 
     Args:
         peak_torque: (n,) peak torque of each joint [N m].
         velocity_step: (n,) one quantisation step of each joint's velocity [rad/s].
 
     Attributes:
-        last: last believed samples; NaN before the first.
+        last: last believed samples; NaN before the first. The position of a joint whose answers
+            are refused is carried on by their speed, as far as that is plausible.
+        misled: (n,) whether the motor's own control uses a position that was refused: its
+            stiffness would push the joint by as much as that is off.
     """
 
     def __init__(self, peak_torque: Array, velocity_step: Array) -> None:
@@ -104,6 +150,7 @@ class SampleFilter:
         unknown = np.full(n_joints, np.nan)
         enabled = np.ones(n_joints, dtype=bool)
         self.last = _Samples(unknown, unknown, unknown, unknown, enabled, unknown)
+        self.misled = np.zeros(n_joints, dtype=bool)
         self._suspect = self.last
         self._is_suspected = np.zeros(n_joints, dtype=bool)
 
@@ -115,8 +162,8 @@ class SampleFilter:
 
     def believe(
         self, came: Mask, time: Array, feedback: Feedback, acted: MitCommand | None
-    ) -> tuple[Mask, Array]:
-        """Return which answers are believed (n,), and the ``jump`` (n,) of ``Replies``.
+    ) -> tuple[Mask, Mask, Array]:
+        """Return which answers are believed (n,), and ``followed`` and ``jump`` of ``Replies``.
 
         The believed answers become the last samples, to which the next answers are compared.
 
@@ -129,54 +176,69 @@ class SampleFilter:
         """
         q = feedback.position
         qd = feedback.velocity
-        tau = feedback.torque
-        expected = tau if acted is None else acted.motor_torque(q, qd)
-        error = tau - np.clip(expected, -self._peak, self._peak)
         heat = feedback.temperature.astype(float)
+        error = self._torque_error(acted, feedback, q)
         now = _Samples(time, q, qd, error, feedback.status == ENABLED, heat)
         # An answer is believed if it follows the last believed one, or repeats the suspect one. A
         # motor that was enabled and reports that it is not has to say so twice.
-        jumps, bends, is_plausible = self._compare(self.last, now)
-        follows = is_plausible & (now.enabled | ~self.last.enabled)
-        *_, repeats = self._compare(self._suspect, now)
-        repeated = repeats & self._is_suspected
+        doubts = self._compare(self.last, now)
+        follows = doubts.none & (now.enabled | ~self.last.enabled)
+        repeated = self._compare(self._suspect, now).none & self._is_suspected
         repeated &= now.enabled == self._suspect.enabled
-        # A repeated jump is not believed where the torque does not match the new position, which
-        # the motor's own control then does not measure, nor where the motor is disabled.
-        repeated &= ~(jumps & (bends | ~now.enabled))
-        believed = came & (follows | repeated)
-        jumped = believed & ~follows & jumps
-        jump = np.where(jumped, np.nan_to_num(q - self.last.q), 0.0)
+        believed = came & (follows | (repeated & ~doubts.jumps))
+
+        reckoned = self._reckoned(now)
+        # The torque tells which position the motor's own control uses: the reported one, or that
+        # to which the speed leads.
+        elsewhere = self._torque_error(acted, feedback, reckoned)
+        bend_there = np.abs(elsewhere - self.last.torque_error)
+        bend_here = np.abs(error - self.last.torque_error)
+        is_elsewhere = came & doubts.jumps & now.enabled
+        self.misled |= is_elsewhere & (bend_here < bend_there)
+        is_obvious = bend_there > MOST_BEND * self._peak
+        is_jump = is_elsewhere & ~doubts.bends & (repeated | is_obvious)
+        jump = np.where(is_jump, np.nan_to_num(q - self.last.q), 0.0)
+
+        followed = came & ~believed & ~doubts.accelerates
+        carried = self.last._replace(time=time, q=reckoned, qd=qd)
         self._is_suspected = np.where(came, ~believed, self._is_suspected)
         self._suspect = now.where(came, self._suspect)
-        self.last = now.where(believed, self.last)
-        return believed, jump
+        self.last = now.where(believed, carried.where(followed, self.last))
+        return believed, followed, jump
 
-    def _compare(self, previous: _Samples, now: _Samples) -> tuple[Mask, Mask, Mask]:
-        """Return how plausible the samples ``now`` are after ``previous`` ones, three masks (n,).
+    def _torque_error(
+        self, acted: MitCommand | None, feedback: Feedback, q: Array
+    ) -> Array:
+        """Return reported minus commanded torque (n,) [N m], were the joints at q (n,) [rad]."""
+        if acted is None:
+            return np.zeros_like(q)
+        expected = acted.motor_torque(q, feedback.velocity)
+        return feedback.torque - np.clip(expected, -self._peak, self._peak)
 
-        The first says whether the position changed by more than a joint can move, the second
-        whether reported minus commanded torque changed by more than plausible, and the third
-        whether position, velocity, torque and temperature all are plausible. A quantity that is NaN
-        in either of them is not compared, and counts as plausible.
+    def _reckoned(self, now: _Samples) -> Array:
+        """Return the positions (n,) to which speeds have led since the last samples [rad]."""
+        passed = np.maximum(np.nan_to_num(now.time - self.last.time), 0.0)
+        return self.last.q + 0.5 * (self.last.qd + now.qd) * passed
+
+    def _compare(self, previous: _Samples, now: _Samples) -> _Doubts:
+        """Return what is implausible in the samples ``now`` after ``previous`` ones.
+
+        A quantity that is NaN in either of them is not compared, and counts as plausible.
         """
         passed = np.maximum(np.nan_to_num(now.time - previous.time), 0.0)
         expected_change = 0.5 * (now.qd + previous.qd) * passed
         distance = np.abs(now.q - previous.q - expected_change)
-        # The largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on 0.035 kg m^2.
-        accelerated = 200.0 * passed
-        # Judgements: a slip of 0.15 rad has to be noticed.
-        tolerance = 0.05 + 0.5 * np.abs(expected_change)
-        tolerance += 0.5 * accelerated * passed
-        jumps = distance > tolerance
-        # A blow or a stop changes the velocity by 1 rad/s in a cycle of 4 ms.
-        most_change = 1.0 + 4.0 * self._velocity_step + accelerated
-        accelerates = np.abs(now.qd - previous.qd) > most_change
+        spurt = np.minimum(passed, LONGEST_SPURT)
+        accelerated = FASTEST * spurt
+        tolerance = SLACK + 0.5 * np.abs(expected_change) + 0.5 * accelerated * spurt
+        most_change = BLOW + 4.0 * self._velocity_step + accelerated
         torque_change = np.abs(now.torque_error - previous.torque_error)
-        bends = torque_change > 0.3 * self._peak
-        # Windings warm up by a degree [deg C] in seconds.
-        heats = np.abs(now.heat - previous.heat) > 5.0
-        return jumps, bends, ~(jumps | accelerates | bends | heats)
+        return _Doubts(
+            jumps=distance > tolerance,
+            accelerates=np.abs(now.qd - previous.qd) > most_change,
+            bends=torque_change > MOST_BEND * self._peak,
+            heats=np.abs(now.heat - previous.heat) > MOST_HEATING,
+        )
 
 
 def confine(

@@ -45,6 +45,9 @@ class CarriedStop(Follower):
         limits: of commanded positions and torques.
         deviation: reported torque minus the commanded one (n,) [N m]: where it is that of the
             position error, the motor may ignore its stiffness, and that is not raised.
+        limp: whether each joint (n,) gets no stiffness, because its motor's own control may use
+            another position than the believed one. What acts through the feed-forward torque holds
+            it.
 
     Attributes:
         last: reference returned last.
@@ -61,6 +64,7 @@ class CarriedStop(Follower):
         stuck: Mask,
         limits: Limits,
         deviation: Array | float = 0.0,
+        limp: Mask | bool = False,
     ) -> None:
         self.follow(q, qd, fed)
         self.last = self._begin = reference
@@ -86,11 +90,12 @@ class CarriedStop(Follower):
         # Without its stiffness, a motor would only make the torque that makes up for more of it.
         doubt = 0.3 * kp * np.abs(self._offset) + 0.01 * limits.torque
         obeys = np.isfinite(q) & ~stuck & (kp > 0.0) & (np.abs(deviation) <= doubt)
-        stiffness = np.where(obeys, raised, kp)
+        stiffness = np.where(limp, 0.0, np.where(obeys, raised, kp))
         self.stiffness = stiffness / np.maximum(kp, 1e-9)
         # Torque without that of the distance, and what is added to the feed-forward torque now.
         self._relieved = -stiffness * self._offset
-        self._added = np.where(stuck, 0.0, kp) * self._offset + self._relieved
+        kept = np.where(stuck | limp, 0.0, kp)
+        self._added = kept * self._offset + self._relieved
         self._stiffening = 0.4 * self._kd / (1.5 * settings.period)
         self._has_moved = np.zeros(len(led), dtype=bool)
         sinking_speed = np.sign(fed) * (led - own)

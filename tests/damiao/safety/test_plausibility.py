@@ -12,6 +12,9 @@ from robot_sysid.damiao import protocol
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import Scaling
 from robot_sysid.damiao.safety.plausibility import (
+    FASTEST,
+    LONGEST_SPURT,
+    SLACK,
     SampleFilter,
     confine,
     require_allowed,
@@ -56,7 +59,7 @@ def believe_answers(*changes):
     verdicts = []
     for k in range(1, 11 + len(changes)):
         change = changes[k - 11] if k > 10 else {}
-        believed, _ = judge.believe(*answer(k, **change))
+        believed, *_ = judge.believe(*answer(k, **change))
         verdicts.append(bool(believed[0]))
     assert all(verdicts[:10])
     return verdicts[10:]
@@ -106,18 +109,68 @@ SAMPLES = st.lists(
 
 @given(SAMPLES)
 def test_no_history_moves_what_is_believed_farther_than_a_joint_can_go(samples):
-    """Unless its own torque says that it was there."""
+    """Neither do many refused answers in a row, nor a long time without any."""
     judge = started_filter()
     last = 0.0
     for k, (q, qd, tau, is_enabled) in enumerate(samples, 1):
-        believed, jump = judge.believe(*answer(k, q, qd, tau, int(is_enabled)))
-        if believed[0] and jump[0] == 0.0:
-            assert (
-                abs(q - last) < 0.05 + 1.5 * 10.0 * CYCLE * k + 100.0 * (CYCLE * k) ** 2
-            )
-            last = q
-        elif believed[0]:
-            last = q
+        speeds = np.abs([judge.last.qd[0], qd])
+        judge.believe(*answer(k, q, qd, tau, int(is_enabled)))
+        now = judge.last.q[0]
+        passed = CYCLE * k
+        spurt = min(passed, LONGEST_SPURT)
+        way = SLACK + 1.5 * speeds.max() * passed + 0.5 * FASTEST * spurt**2
+        assert abs(now - last) <= way + 1e-9
+        last = now
+
+
+@given(
+    angle=st.floats(0.2, 12.0),
+    sign=st.sampled_from([-1.0, 1.0]),
+    gap=st.integers(1, 250),
+)
+def test_time_makes_no_position_credible(angle, sign, gap):
+    """Whatever the angle, a whole turn too, and though nothing was heard for a second."""
+    judge = started_filter()
+    for k in range(1, 11):
+        judge.believe(*answer(k))
+    for k in range(10 + gap, 500):
+        p, v = swing(k)
+        believed, _, jump = judge.believe(*answer(k, q=p + sign * angle, tau=3.0))
+        assert not believed[0]
+        assert jump[0] == 0.0
+    assert not judge.misled[0]
+
+
+@given(angle=st.floats(0.2, 12.0), sign=st.sampled_from([-1.0, 1.0]))
+def test_while_positions_are_refused_the_speed_leads_on(angle, sign):
+    """So a stop knows where the joint is, and good answers are believed again at once."""
+    judge = started_filter()
+    for k in range(1, 11):
+        judge.believe(*answer(k))
+    for k in range(11, 300):
+        believed, followed, _ = judge.believe(
+            *answer(k, q=swing(k)[0] + sign * angle, tau=3.0)
+        )
+        assert followed[0] and not believed[0]
+        # The trapezoidal rule leaves a hundredth of a milliradian.
+        assert abs(judge.last.q[0] - swing(k)[0]) < 1e-4
+    believed, *_ = judge.believe(*answer(300))
+    assert believed[0]
+
+
+@given(angle=st.floats(0.2, 12.0), sign=st.sampled_from([-1.0, 1.0]))
+def test_a_position_that_the_motors_own_control_follows_is_named_at_once(angle, sign):
+    """Its torque has gone to the peak, so that a second answer would come too late."""
+    judge = started_filter()
+    for k in range(1, 11):
+        judge.believe(*answer(k))
+    q = swing(11)[0] + sign * angle
+    command = answer(11)[3]
+    driven = command.motor_torque(np.array([q]), np.array([swing(11)[1]]))[0]
+    tau = float(np.clip(driven, -PEAK, PEAK))
+    believed, _, jump = judge.believe(*answer(11, q=q, tau=tau))
+    assert not believed[0] and judge.misled[0]
+    assert abs(jump[0] - sign * angle) < 0.01
 
 
 JOINTS = damiao_joints(["DM4340", "DM4310"], 2)
