@@ -14,7 +14,7 @@ import pickle
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -33,6 +33,7 @@ from rigs.damiao_rig import (
 from rigs.places import GUESS, TRUTH
 from rigs.wrong_arms import resting_torque
 from robot_sysid.damiao import protocol
+from robot_sysid.damiao.checks.model import with_weight_of
 from robot_sysid.damiao.joints import motor_spec
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
 from robot_sysid.damiao.safety.holding import gravity_holding
@@ -172,7 +173,10 @@ def plan_with(setup, robot, motion, tau, types):
     """Return the plan of a set-up for a motion, its torque (N, n) [N m] and the motors' types."""
     names = robot.joint_names if setup.model_is_given else ()
     signals = motion.time, motion.q, motion.qd, tau
-    trajectory = trajectory_of(signals, *types, names=names)
+    trajectory = with_weight_of(robot, trajectory_of(signals, *types, names=names))
+    if not setup.model_is_given:
+        # As the file beside a planned trajectory has it.
+        trajectory = replace(trajectory, weight_error=None)
     stiffness = () if setup.kp is None else (setup.kp,)
     settings = PlaySettings(rate=setup.rate, park=setup.park, kp=stiffness)
     timing = BusTiming(fd=setup.rate > FASTEST_CLASSIC)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_sysid.damiao.references import Follower, Reference
-from robot_sysid.damiao.settings import Plan, PlaySettings
+from robot_sysid.damiao.settings import TRACKING, Plan
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import with_error
@@ -107,9 +107,7 @@ class Floating(Follower):
         inside = np.clip(self._q, self._limits.lower, self._limits.upper)
         # At its end a joint may rest, and its zero be off by as much.
         has_left = np.abs(self._q - inside) > AT_END
-        farthest = min(
-            self._settings.max_tracking_error, PlaySettings.max_tracking_error
-        )
+        farthest = min(self._settings.max_tracking_error or TRACKING, TRACKING)
         # A single velocity may be a damaged one.
         is_falling = (np.abs(moved) > farthest) | (self._fast > 1)
         for j in np.flatnonzero(is_falling | has_left).tolist():

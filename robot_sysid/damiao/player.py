@@ -34,7 +34,7 @@ from robot_sysid.damiao.references import (
 from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.safety.plausibility import Replies
 from robot_sysid.damiao.safety.stopping import LONGEST_LOWERING, CarriedStop, Lowering
-from robot_sysid.damiao.safety.watch import Watch
+from robot_sysid.damiao.safety.watch import PLAYING, Phase, Watch
 from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import (
@@ -151,9 +151,7 @@ class Player:
         self._timer: CycleTimer
         # Factor, from 0 to 1, of stiffness and feed-forward torque.
         self._gain = 0.0
-        # Whether the joints should stand still, and whether the gains rise, in this phase.
-        self._standing = True
-        self._rising = False
+        self._phase = Phase(stands=True, settles=True)
         # The last reference and the last command that were sent.
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
@@ -199,12 +197,11 @@ class Player:
         self._stop_if_asked()
         self._announce("enabling the motors")
         start = self._session.enable()
-        standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
+        standing = Reference.resting(start, self._holding)
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
-        self._rising = True
-        self._phase(hold_reference(standing), settings.ramp_time, standing=True)
-        self._rising = False
+        rising = Phase(stands=True, rises=True, settles=True)
+        self._follow(hold_reference(standing), settings.ramp_time, rising)
         self._hold_and_compare(standing)
         first = activity.first
         if first is not None:
@@ -213,24 +210,27 @@ class Player:
                 first,
                 settings.approach_speed,
                 settings.approach_time,
-                self._holding.torque,
+                self._holding,
             )
             self._announce(f"moving to the first point ({approach_time:.1f} s)")
-            self._phase(approach, approach_time)
+            self._follow(approach, approach_time, Phase(settles=True))
             self._hold_and_compare(first)
         self._announce(activity.announcement)
         reference = activity.begin(standing)
-        self._phase(reference, activity.duration, record=True)
+        phase = Phase(yields=isinstance(reference, Follower))
+        self._follow(reference, activity.duration, phase, record=True)
         self._announce("coming to rest")
         last = reference(activity.duration)
-        self._phase(hold_reference(last), settings.rest_time)
+        self._follow(hold_reference(last), settings.rest_time)
         if settings.park is not None:
             self._announce("lowering the arm")
-            self._phase(self._lower_from(last), LONGEST_LOWERING)
+            lowering = self._lower_from(last)
+            self._follow(lowering, LONGEST_LOWERING, Phase(yields=True))
 
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``; HardwareAbort where its torques do not carry it."""
-        self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
+        phase = Phase(stands=True, settles=True)
+        self._follow(hold_reference(reference), self._settings.rest_time, phase)
         self._watch.check_holding(self._session.believed_motion[0])
 
     def _lower_from(self, begin: Reference) -> Lowering:
@@ -245,11 +245,11 @@ class Player:
         lowering.stiffness = self._follower.stiffness
         return lowering
 
-    def _phase(
+    def _follow(
         self,
         reference: ReferenceFunction,
         length: float,
-        standing: bool = False,
+        phase: Phase = PLAYING,
         record: bool = False,
     ) -> None:
         """Follow a reference for a time, one command per cycle; HardwareAbort for fault or stop.
@@ -257,14 +257,13 @@ class Player:
         Args:
             reference: reference by the time since the phase began [s].
             length: duration [s]; a follower may end it earlier, and gets the state of every cycle.
-            standing: whether the joints should stand still.
+            phase: what may be expected of the arm.
             record: whether cycles are recorded.
         """
         origin = self._timer.next_deadline
         self._origin = origin
-        self._standing = standing
+        self._phase = phase
         self._follower = reference if isinstance(reference, Follower) else Follower()
-        is_lowered = self._follower is reference
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
         while self._timer.next_deadline < end:
@@ -274,12 +273,13 @@ class Player:
             time = min(deadline - origin, length)
             target = reference(time)
             self._stop_if_asked()
+            followed = self._reference or target
             replies, acted = self._exchange(target)
             if record:
                 self._n_recorded += 1
                 if self._recorder:
                     self._recorder.write(time, origin, replies, acted)
-            self._watch.check(replies, acted, self._standing, self._rising, is_lowered)
+            self._watch.check(replies, acted, followed, phase)
 
     def _stop_if_asked(self) -> None:
         """Raise HardwareAbort if a stop was requested, or recording failed."""
@@ -305,7 +305,7 @@ class Player:
         # In steps longer than that, the arm would fall.
         rise = 1.0 / n_steps if n_steps > 4.0 else 1.0
         self._gain = min(self._gain + rise, 1.0)
-        position, velocity, torque = reference
+        position, velocity, torque, *_ = reference
         kp = self._gain * np.array(self._settings.kp) * self._follower.stiffness
         kd = self._follower.damping * np.array(self._settings.kd)
         # Motors with stiffness alone oscillate.
@@ -368,8 +368,8 @@ class Player:
         watch = self._watch
         settings = self._settings
         q, qd = self._trusted_motion
-        limit: Array | float = settings.max_tracking_error
-        if self._standing:
+        limit = np.array(settings.tracking)
+        if self._phase.stands:
             limit = watch.standing_limit(q, reference.position, reference.torque)
         has_left = np.abs(q - reference.position) > limit
         is_pushed = watch.is_pushed(q, reference.position, reference.torque)
@@ -378,7 +378,11 @@ class Player:
             carrying_torque = self._holding.torque(pose)
         else:
             # While gains rise, the mean feed-forward torque is less than the torque that carries.
-            carrying_torque = reference.torque if self._rising else watch.fed_torque
+            is_rising = self._phase.rises
+            carrying_torque = reference.torque if is_rising else watch.fed_torque
+            carrying_torque = np.where(
+                np.isfinite(reference.weight), reference.weight, carrying_torque
+            )
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         # The position of a joint that jumped without stiffness may not be the one that its motor
         # controls: stiffness could push it on.

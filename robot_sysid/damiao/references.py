@@ -8,8 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.records import Array
+
+UNKNOWN = np.array(np.nan)
+"""A torque of all joints that is not known."""
 
 
 class Reference(NamedTuple):
@@ -19,11 +23,23 @@ class Reference(NamedTuple):
         position: (n,) [rad].
         velocity: (n,) [rad/s].
         torque: feed-forward torque (n,) [N m].
+        weight: torque (n,) that carries the arm at rest in this pose [N m]; NaN where that is not
+            known.
+        weight_error: standard error (n,) of the weight, as wrong as models usually are [N m].
     """
 
     position: Array
     velocity: Array
     torque: Array
+    weight: Array = UNKNOWN
+    weight_error: Array = UNKNOWN
+
+    @classmethod
+    def resting(cls, position: Array, holding: HoldingTorque) -> Reference:
+        """Return the state of an arm at rest in a pose (n,) [rad] that its weight is fed in."""
+        weight = holding.torque(position)
+        still = np.zeros_like(position)
+        return cls(position, still, weight, weight, holding.error(position))
 
 
 ReferenceFunction = Callable[[float], Reference]
@@ -35,8 +51,9 @@ def trajectory_reference(
 ) -> ReferenceFunction:
     """Return a trajectory, interpolated between its rows, as a function of time.
 
-    The feed-forward torque is that of the file: at reduced
-    speed its inertial share is too large, which the position control compensates.
+    The feed-forward torque is what the motion needs at the speed at which it is played, see
+    ``DamiaoTrajectory.needed``: never the model's friction, which other arms of the type do not
+    have, and which would push a joint that turns round or stands.
 
     Args:
         trajectory: trajectory with at least two rows.
@@ -45,8 +62,10 @@ def trajectory_reference(
 
     def reference(time: float) -> Reference:
         """Return the trajectory's state at ``time`` [s] of playing since its first row."""
-        position, velocity, torque = trajectory.sampled(np.array(time * speed))
-        return Reference(position, velocity * speed, torque)
+        moment = np.array(time * speed)
+        position, velocity, _ = trajectory.sampled(moment)
+        needed = trajectory.needed(moment, speed)
+        return Reference(position, velocity * speed, *needed)
 
     return reference
 
@@ -56,7 +75,7 @@ def transfer_reference(
     target: Reference,
     speed: float,
     shortest: float,
-    carries: Callable[[Array], Array],
+    holding: HoldingTorque,
 ) -> tuple[ReferenceFunction, float]:
     """Return a straight motion from rest at ``start`` to rest at ``target``, and its duration [s].
 
@@ -68,14 +87,16 @@ def transfer_reference(
         target: end; its velocity is ignored.
         speed: velocity that no joint exceeds [rad/s].
         shortest: least duration [s].
-        carries: returns the torque (n,) [N m] that carries the arm in a pose (n,) [rad]. The
-            feed-forward torque is this plus a difference, interpolated along the line, so that it
-            equals the torques of ``start`` and ``target`` at the ends.
+        holding: computes the torque that carries the arm in a pose. The feed-forward torque is
+            this plus a difference, interpolated along the line, so that it equals the torques of
+            ``start`` and ``target`` at the ends.
     """
     line = target.position - start.position
     duration = max(shortest, 15.0 / 8.0 * np.max(np.abs(line)) / speed)
-    extra_at_start = start.torque - carries(start.position)
-    extra_at_target = target.torque - carries(target.position)
+    extra_at_start = start.torque - holding.torque(start.position)
+    extra_at_target = target.torque - holding.torque(target.position)
+    # The weight is judged along the whole line, by the larger error of both ends.
+    error = np.fmax(start.weight_error, target.weight_error)
 
     def reference(time: float) -> Reference:
         """Return the state at ``time`` [s] after the beginning."""
@@ -84,7 +105,8 @@ def transfer_reference(
         share_per_second = 30.0 * s * s * (1.0 - s) ** 2 / duration
         q = start.position + share * line
         extra = (1.0 - share) * extra_at_start + share * extra_at_target
-        return Reference(q, share_per_second * line, carries(q) + extra)
+        torque = holding.torque(q) + extra
+        return Reference(q, share_per_second * line, torque, torque, error)
 
     return reference, duration
 

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus import Inspection
-from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting
+from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting, peak_torques
 from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Limits
 from robot_sysid.records.file_access import refuse_overwriting
+from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.option_fields import (
     Check,
     OptionRecord,
@@ -25,6 +26,7 @@ from robot_sysid.records.option_fields import (
     option,
     options_of_all,
 )
+from robot_sysid.records.usual_errors import MOTOR_FRICTION, WEIGHT
 from robot_sysid.wording import option_name
 
 # Arguments of options whose default depends on the type of each motor.
@@ -37,6 +39,15 @@ def _within(least: float, most: float, unit: str) -> Check:
     return lambda gain: None if least <= gain <= most else problem
 
 
+TRACKING = 0.2
+"""How far a joint may leave its path, or float, unless the user says another angle [rad]."""
+LARGEST_SAG = 0.5
+"""The largest angle that a joint may leave its path by because its stiffness is low [rad]: with
+more, the motion is another one than the one that was checked."""
+LEAST_STIFFNESS = 1.0
+"""Stiffness below which an arm counts as limp [N m/rad]."""
+
+
 @dataclass(frozen=True)
 class PlaySettings(OptionRecord):
     """Gains, speeds, limits and permissions of a run; ``for_motors`` completes gains and rate.
@@ -45,6 +56,7 @@ class PlaySettings(OptionRecord):
     by motor type), or have one value for all joints or one per joint.
 
     Attributes:
+        tracking: how far each joint may leave its path [rad]; ``for_motors`` fills it in.
         approach_speed: joint speed on the way to the first point, and when lowered [rad/s].
         start_tolerance: how far a joint may be from the first point [rad].
         max_speed_error: how much a joint may be faster or slower than commanded [rad/s].
@@ -84,8 +96,11 @@ class PlaySettings(OptionRecord):
     speed: float = option(
         1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor
     )
-    max_tracking_error: float = option(
-        0.2, "how far a joint may leave its path, or float", "ANGLE [rad] > 0"
+    max_tracking_error: float | None = option(
+        None,
+        "how far a joint may leave its path, or float",
+        "ANGLE [rad] > 0",
+        default_text="0.2; more where a soft arm sags by what models are usually off",
     )
     park: str | None = option(
         None,
@@ -102,6 +117,7 @@ class PlaySettings(OptionRecord):
         False,
         "play although nobody has verified which way the joints turn that gravity hardly loads",
     )
+    tracking: tuple[float, ...] = ()
     approach_speed: float = 0.2
     start_tolerance: float = 0.5
     max_speed_error: float = 1.0
@@ -118,18 +134,23 @@ class PlaySettings(OptionRecord):
         specs: Sequence[MotorSpec],
         timing: BusTiming,
         mobility: Array | None = None,
+        sag: Array | float = 0.0,
     ) -> PlaySettings:
-        """Return these settings with a cycle rate and one gain for each motor.
+        """Return these settings with a cycle rate, and gains and a tracking limit for each motor.
 
         With the default stiffness, an error of a twentieth of a radian makes rated torque: an arm
         whose model is wrong by a third of the rated torque sags by a degree. Where the arm's
         inertia is known, a light joint is damped less, so that its velocity does not settle within
         a cycle: the torque step that is to be measured would have vanished by then.
 
+        A joint may leave its path by ``TRACKING``, or by what its weight is usually off over its
+        stiffness: an arm with little stiffness sags by that, and nothing is wrong with it.
+
         Args:
             specs: types of the n motors.
             timing: frame format and bit rates of the bus, which determine the default rate.
             mobility: the arm's inverse mass matrix (n, n) [1/(kg m^2)]; None without a model.
+            sag: torque (n,) by which what carries the arm is usually off, friction included [N m].
 
         Raises:
             InputError: a setting has neither one value nor one per motor.
@@ -151,7 +172,17 @@ class PlaySettings(OptionRecord):
         # An empty setting stands for the default.
         kp = joint_values(self.kp or tuple(stiffness), n, option_name("kp"))
         kd = joint_values(self.kd or tuple(damping), n, option_name("kd"))
-        return replace(self, rate=rate, kp=tuple(kp), kd=tuple(kd))
+        usual = np.minimum(sag / np.maximum(kp, LEAST_STIFFNESS), LARGEST_SAG)
+        tracking = np.full(n, self.max_tracking_error or 0.0)
+        if self.max_tracking_error is None:
+            tracking = np.maximum(TRACKING, np.broadcast_to(usual, n))
+        return replace(
+            self,
+            rate=rate,
+            kp=tuple(kp),
+            kd=tuple(kd),
+            tracking=tuple(tracking.tolist()),
+        )
 
     @property
     def period(self) -> float:
@@ -254,7 +285,9 @@ class Plan:
                 f"{self.trajectory.path} needs at least two rows to be played"
             )
         specs = [joint.spec for joint in self.trajectory.joints]
-        settings = self.settings.for_motors(specs, self.timing, self.mobility)
+        settings = self.settings.for_motors(
+            specs, self.timing, self.mobility, self._sag
+        )
         # The transfer keeps the limits, too.
         stated = filter(None, (self.user_limits, self.model_limits))
         tightest = Limits.of(Limits(), *stated)
@@ -268,6 +301,16 @@ class Plan:
             approach_time=max(settings.approach_time, time),
         )
         object.__setattr__(self, "settings", settings)
+
+    @property
+    def _sag(self) -> Array:
+        """Torque (n,) by which what carries the arm is usually off, friction included [N m]."""
+        trajectory = self.trajectory
+        error = trajectory.weight_error
+        if error is None:
+            error = WEIGHT * np.abs(trajectory.tau)
+        largest = np.max(INTERVAL * error, axis=0)
+        return largest + MOTOR_FRICTION * peak_torques(trajectory.joints)
 
     @property
     def duration(self) -> float:

@@ -30,6 +30,7 @@ from robot_sysid.damiao.weight_file import belongs_to, read_weight, weight_path
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.file_access import read_text
+from robot_sysid.records.usual_errors import WEIGHT
 
 if TYPE_CHECKING:
     from robot_sysid.pipeline.motors import MotionChunk
@@ -58,6 +59,8 @@ class DamiaoTrajectory:
             no friction [N m]. None where it is not known.
         inertia: torques (N, n) of accelerations, Coriolis and rotors of the file's own motion, no
             friction and no damping [N m]. None where ``weight`` is.
+        weight_error: standard errors (N, n) of the weight [N m]. None where no model says them:
+            then they are a usual share of it.
         foreign_weight: file beside the trajectory that is not its weight, but that of another one;
             nothing of it is used. None where there is none.
     """
@@ -70,6 +73,7 @@ class DamiaoTrajectory:
     tau: Array
     weight: Array | None = None
     inertia: Array | None = None
+    weight_error: Array | None = None
     foreign_weight: Path | None = None
 
     @property
@@ -99,13 +103,16 @@ class DamiaoTrajectory:
             signal[row] + share * (signal[row + 1] - signal[row]) for signal in signals
         ]
 
-    def needed(self, time: float, speed: float) -> tuple[Array, Array]:
-        """Return the torque that the motion needs at a speed, and the weight in it, (n,) [N m].
+    def needed(self, time: Array | float, speed: float) -> tuple[Array, Array, Array]:
+        """Return the torque that the motion needs at a speed, the weight in it and its error.
+
+        All are (n,) [N m].
 
         Along the same path at a share of the file's speed, torque = weight + speed^2 inertia: the
         pose alone carries, and accelerations and products of velocities shrink with the square.
-        Friction and damping are not in it. Where the weight is not known it is NaN, and the torque
-        is that of the file, which is right at its own speed alone.
+        Friction and damping are not in it. Where the weight is not known, the torque is that of the
+        file, which is right at its own speed alone and stands for the weight there; at another
+        speed the weight is NaN.
 
         Args:
             time: of the file, not of playing it [s]; beyond its ends its first or last row holds.
@@ -114,9 +121,13 @@ class DamiaoTrajectory:
         moment = np.array(time)
         if self.weight is None or self.inertia is None:
             (torque,) = self._on_lines(moment, self.tau)
-            return torque, np.full(self.n_joints, np.nan)
+            weight = torque if speed >= 1.0 else np.full(self.n_joints, np.nan)
+            return torque, weight, WEIGHT * np.abs(weight)
         weight, inertia = self._on_lines(moment, self.weight, self.inertia)
-        return weight + speed**2 * inertia, weight
+        error = WEIGHT * np.abs(weight)
+        if self.weight_error is not None:
+            (error,) = self._on_lines(moment, self.weight_error)
+        return weight + speed**2 * inertia, weight, error
 
     def at_speed(self, speed: float) -> DamiaoTrajectory:
         """Return this trajectory with the torques that are fed when it is played at a speed.

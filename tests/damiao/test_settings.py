@@ -21,6 +21,7 @@ from robot_sysid.damiao.protocol import (
     encode_mit,
 )
 from robot_sysid.damiao.references import Reference, transfer_reference
+from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.errors import InputError
 from robot_sysid.records import Limits
@@ -100,7 +101,8 @@ def test_transfers_keep_the_limits_of_user_and_model(owner):
     for way in (0.01, 0.2, 0.5):
         target = begin._replace(position=np.full(2, way))
         speed = settings.approach_speed, settings.approach_time
-        path, duration = transfer_reference(begin, target, *speed, np.zeros_like)
+        holding = HoldingTorque((), np.zeros_like, np.zeros(2))
+        path, duration = transfer_reference(begin, target, *speed, holding)
         moments = np.linspace(0.0, duration, 501)
         velocity = np.array([path(moment).velocity[0] for moment in moments])
         assert np.max(velocity) <= 0.1 + 1e-9

@@ -59,7 +59,7 @@ def test_what_is_needed_is_the_models_torque_without_friction(speed, row):
     q, qd, qdd = (s[[row]] for s in (trajectory.q, trajectory.qd, trajectory.qdd))
     played = Motion(np.zeros(1), q, speed * qd, speed**2 * qdd)
     resting = Motion(np.zeros(1), q, 0.0 * qd, 0.0 * qd)
-    torque, weight = trajectory.needed(trajectory.time[row], speed)
+    torque, weight, _ = trajectory.needed(trajectory.time[row], speed)
     arm = ArmDynamics(smooth)
     np.testing.assert_allclose(torque, arm(played)[0], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(weight, arm(resting)[0], rtol=1e-9, atol=1e-9)
@@ -79,7 +79,7 @@ def test_the_torque_lies_on_straight_lines_and_holds_beyond_the_ends(robot):
 
 def test_without_a_weight_the_files_torque_is_fed():
     trajectory = trajectory_of(MOTION)
-    torque, weight = trajectory.needed(trajectory.time[9], 0.3)
+    torque, weight, _ = trajectory.needed(trajectory.time[9], 0.3)
     np.testing.assert_array_equal(torque, trajectory.tau[9])
     assert np.all(np.isnan(weight))
     assert trajectory.at_speed(0.3) is trajectory

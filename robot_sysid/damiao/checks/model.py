@@ -20,7 +20,7 @@ from robot_sysid.damiao.checks.preflight import (
     stop,
 )
 from robot_sysid.damiao.joints import peak_torques
-from robot_sysid.damiao.safety.holding import torque_doubt
+from robot_sysid.damiao.safety.holding import torque_doubt, weight_errors
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
@@ -36,6 +36,8 @@ from robot_sysid.wording import with_option_names
 _WEIGH_FIRST = "weigh the arm with a smaller motion first (see {for_=weight} of plan)"
 
 
+ERROR_ROWS = 1000
+"""Number of rows in which the errors of the weight are computed: ten a second of a long motion."""
 USUAL_DIFFERENCE = EXPECTED_SCALES[0] * LINK / 100.0
 """Share of a joint's torque by which the file of one model usually differs from another model of
 the arm: that by which a link's mass is expected to be off, 20 %."""
@@ -49,7 +51,19 @@ def with_weight_of(robot: RobotModel, trajectory: DamiaoTrajectory) -> DamiaoTra
     """
     motion = Motion(trajectory.time, trajectory.q, trajectory.qd, trajectory.qdd)
     weight, inertia = ArmDynamics(robot).weight_and_inertia(motion)
-    return replace(trajectory, weight=weight, inertia=inertia, foreign_weight=None)
+    # Errors of links bend no faster than the path: one row in so many tells them.
+    few = np.linspace(0, len(trajectory.time) - 1, num=ERROR_ROWS).round().astype(int)
+    errors = weight_errors(robot, trajectory.q[few]).T
+    error = np.stack(
+        [np.interp(trajectory.time, trajectory.time[few], each) for each in errors], 1
+    )
+    return replace(
+        trajectory,
+        weight=weight,
+        inertia=inertia,
+        weight_error=error,
+        foreign_weight=None,
+    )
 
 
 def transfer_checks(

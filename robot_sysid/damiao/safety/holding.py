@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records.usual_errors import LINK, WEIGHT
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.safety.position_shift import PositionShift
@@ -61,6 +62,15 @@ class HoldingTorque:
     def is_model(self) -> bool:
         """Whether a model of the arm gives the expected torque in every pose."""
         return self.pose is None
+
+    def error(self, q: Array) -> Array:
+        """Return the standard error (n,) of the torque in a pose q (n,) [N m].
+
+        It is that of models as wrong as they usually are.
+        """
+        if self.robot is None:
+            return WEIGHT * np.abs(self.torque(q))
+        return weight_errors(self.robot, q[None])[0]
 
     def contradicts(self, q: Array, tau: Array) -> NDArray[np.bool_]:
         """Return which joints (n,) torques tau (n,) [N m] cannot hold still at q (n,) [rad].
@@ -116,6 +126,23 @@ def gravity_holding(
 
     doubt = torque_doubt(joints) + robot.friction.largest_dry
     return HoldingTorque(joints, holding_torque, doubt, robot=robot)
+
+
+def weight_errors(robot: RobotModel, q: Array) -> Array:
+    """Return the standard errors (N, n) of an arm's weight torque in poses q (N, n) [N m].
+
+    They are those of a model whose links are as wrong as models usually are
+    (``records.usual_errors``); no multiple of the torque itself, which may be small where the
+    weights of two links cancel.
+    """
+    from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, other_links
+    from robot_sysid.estimate.links import link_factor
+
+    links = [*other_links(robot), robot.n_joints - 1]
+    factor = link_factor(robot, links, 0.01 * LINK)
+    still = np.zeros_like(q)
+    columns = LinkDynamics(robot).motion(q, still, still).columns(links)
+    return np.sqrt(np.sum((columns @ factor) ** 2, axis=-1))
 
 
 def file_holding(trajectory: DamiaoTrajectory) -> HoldingTorque:

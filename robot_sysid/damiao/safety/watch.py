@@ -10,13 +10,21 @@ speed      of the reported positions, over 0.1 and 1 s   reported
 torque     reported, over 0.1 and 1 s                    commanded
 torque     reported, over 0.1 s                          fed forward
 torque     commanded, over 0.1 s                         needed in the last second
-torque     commanded, over 0.1 s                         what carries the arm
+torque     what carries the arm, over 0.1 s              its weight
 =========  ============================================  =======================================
 
 Means of exponential windows are used: a large residual is found sooner than a small one, and one
 damaged frame is not enough. The torque needed in the last second is that fed forward plus what the
-joint's control added: a wrong model is no fault, a sudden change is one. A model of the arm shows
-positions that are wrong, by the torques of a motion, see ``PositionShift``.
+joint's control added: a wrong model is no fault, a sudden change is one.
+
+Friction is no fault, either, and no file knows how large it is. What tells it from a load is that
+it turns its sign with the motion. So a torque may be off by any friction that a joint of this motor
+may have, in the direction in which the joint is led, and, since what was needed in the last second
+contains friction of that second, by as much as the mean direction has changed since. The weight has
+the ± of models as wrong as they usually are (``records.usual_errors``).
+
+A model of the arm shows positions that are wrong, by the torques of a motion, see
+``PositionShift``.
 
 A message says which joint and which of the three disagree, with both numbers. It does not say why:
 the recording shows that.
@@ -25,17 +33,21 @@ the recording shows that.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import MitCommand
+from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.health import BusHealth
 from robot_sysid.damiao.safety.holding import LOADED, HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.plausibility import Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
+from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.usual_errors import MOTOR_FRICTION
 
 # Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s;
 # with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
@@ -60,6 +72,31 @@ _REPEATS = (
 _SHIFTED = (
     "position: it reports {:.2f} rad, and the torques of the motion are those of {:.2f}"
 )
+
+
+@dataclass(frozen=True)
+class Phase:
+    """What may be expected of an arm in a phase of a run.
+
+    Attributes:
+        stands: the joints are to stand still.
+        rises: gains are being raised: an arm that takes up a new load then overshoots with twice
+            the torque, so that needed torques are not judged.
+        settles: the arm has not stood at the first point yet. Only now it shows by how much its
+            weight is not the model's, and with little stiffness it swings about that for a second:
+            what it needs is not compared with what it needed before.
+        yields: joints go where their load takes them, and the arm may come to lie on something, so
+            that its positions are not judged by its torques.
+    """
+
+    stands: bool = False
+    rises: bool = False
+    settles: bool = False
+    yields: bool = False
+
+
+PLAYING = Phase()
+"""A phase in which the arm follows a motion."""
 
 
 class Watch:
@@ -102,7 +139,7 @@ class Watch:
         rated = np.array([joint.spec.rated_torque for joint in joints])
         # How far a standing joint may sag: an arm half a radian from the first point, or with a new
         # load, needs half of this.
-        self._sag = np.minimum(2.0 * rated / kp, settings.max_tracking_error)
+        self._sag = np.minimum(2.0 * rated / kp, settings.tracking)
         # A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd, and is
         # sampled when it has slowed down at the end of a cycle T: in steady motion its mean speed
         # is (exp(kT) - 1) / (kT) times the sampled one; with inertia, between 1 and this.
@@ -110,11 +147,13 @@ class Watch:
         self._slowed = np.expm1(fade) / fade
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
-        # Means over 0.1 s (8, n) of: the change of velocity from sample to sample, between which it
+        # The largest friction of a joint that nobody knows.
+        self._friction = MOTOR_FRICTION * peak_torque
+        # Means over 0.1 s (9, n) of: the change of velocity from sample to sample, between which it
         # is not known; change of position, reported and commanded velocity; reported and commanded
-        # torque, fed torque, and the torque that the position control adds. Means over 1 s of these
-        # means, the first six as absolute values.
-        self._short, self._long = np.zeros((2, 8, n_joints))
+        # torque, fed torque, the torque that the position control adds, and the sign of the
+        # commanded velocity. Means over 1 s of these means, the first six as absolute values.
+        self._short, self._long = np.zeros((2, 9, n_joints))
         # Answers in a row with the same position and velocity, and commanded position and torque
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
@@ -138,20 +177,16 @@ class Watch:
         self,
         replies: Replies,
         acted: MitCommand,
-        standing: bool = False,
-        rising: bool = False,
-        lowered: bool = False,
+        followed: Reference,
+        phase: Phase = PLAYING,
     ) -> None:
         """Raise HardwareAbort for the first fault in a cycle's replies.
 
         Args:
             replies: replies of all n joints; ``health`` is up to date with them.
             acted: command in force when the replies were sampled, fields (n,), in joint space.
-            standing: whether the joints are to stand still.
-            rising: whether gains are being raised: an arm that takes up a new load then overshoots
-                with twice the torque, so that needed torques are not judged.
-            lowered: whether the arm is being lowered: it may come to lie on something, so that its
-                positions are not judged by its torques.
+            followed: reference of that command, with the weight in its pose.
+            phase: of the run.
         """
         # Two samples confirm a jump.
         self.stuck |= replies.jump != 0.0
@@ -159,15 +194,12 @@ class Watch:
         feedback = replies.feedback
         commanded = acted.motor_torque(feedback.position, feedback.velocity)
         self._check_repeats(replies, acted, commanded)
-        self._average(replies, acted, commanded, rising)
-        self._check_rows(replies, acted, standing, rising)
-        if rising:
+        self._average(replies, acted, commanded, phase)
+        self._check_rows(replies, acted, phase)
+        if phase.rises:
             return
-        # Friction may carry a joint that moves, but not against its load.
-        fed = self.fed_torque
-        is_opposite = np.sign(fed) * self._carried < -0.5 * self._doubt
-        self._check_load(is_opposite & (np.abs(fed) > LOADED * self._doubt), fed)
-        if self._shift is not None and not lowered:
+        self._check_weight(followed)
+        if self._shift is not None and not phase.yields:
             time = float(np.mean(replies.time))
             shift = self._shift(time, feedback.position, feedback.velocity, commanded)
             if shift is not None:
@@ -176,12 +208,12 @@ class Watch:
                 self._raise(j, _SHIFTED.format(q, q + angle))
 
     def _average(
-        self, replies: Replies, acted: MitCommand, commanded: Array, rising: bool
+        self, replies: Replies, acted: MitCommand, commanded: Array, phase: Phase
     ) -> None:
         """Bring the means up to date with the joints that answered.
 
-        ``acted`` is the command in force, ``commanded`` (n,) its torque [N m]. While gains are
-        ``rising``, the long means of torques follow the short ones.
+        ``acted`` is the command in force, ``commanded`` (n,) its torque [N m]. While gains rise,
+        the long means of torques follow the short ones.
         """
         feedback = replies.feedback
         sample = np.array([replies.time, feedback.position, feedback.velocity])
@@ -198,6 +230,8 @@ class Watch:
                 np.clip(commanded, -self._peak, self._peak),
                 acted.torque,
                 commanded - acted.torque,
+                np.sign(acted.velocity)
+                * (np.abs(acted.velocity) > self._velocity_step),
             ]
         )
         self._last = np.where(replies.answered, sample, self._last)
@@ -206,12 +240,10 @@ class Watch:
         means = np.vstack([np.abs(self._short[:6]), self._short[6:]])
         share = -np.expm1(-passed / _LONG) * is_usable
         self._long += share * (means - self._long)
-        if rising:
+        if phase.rises:
             self._long[6:] = self._short[6:]
 
-    def _check_rows(
-        self, replies: Replies, acted: MitCommand, standing: bool, rising: bool
-    ) -> None:
+    def _check_rows(self, replies: Replies, acted: MitCommand, phase: Phase) -> None:
         """Raise HardwareAbort for the joint and row that are farthest beyond their bound.
 
         The arguments are those of ``check``. A joint without an answer is not judged.
@@ -219,16 +251,16 @@ class Watch:
         settings = self._settings
         peak = self._peak
         q = replies.feedback.position
-        turn, way, speed, led, tau, commanded, fed, added = self._short
-        long_way, long_speed, _, long_tau, long_commanded, long_fed, long_added = (
-            self._long[1:]
+        turn, way, speed, led, tau, commanded, fed, added, _ = self._short
+        _, long_way, long_speed, _, long_tau, long_commanded, long_fed, _, _ = (
+            self._long
         )
-        tracking = np.full_like(q, settings.max_tracking_error)
-        if standing:
+        tracking = np.array(settings.tracking)
+        if phase.stands:
             tracking = self.standing_limit(q, acted.position, acted.torque)
         # A standing joint has no friction that reverses, so its bound is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
-        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.25 * peak)
+        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.2 * peak)
         torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
         # Measured, expected and bound of each of ``_ROWS``.
         rows = [
@@ -249,11 +281,17 @@ class Watch:
             # More than any excitation needs.
             (tau, fed, peak / 1.5),
             # A wrong model gets half of a change of the feed-forward torque wrong.
-            (fed + added, fed + long_added, load + 0.5 * np.abs(fed - long_fed)),
+            (
+                fed + added,
+                fed + self._usually_added,
+                load + 0.5 * np.abs(fed - long_fed),
+            ),
         ]
         measured, expected, bounds = map(np.array, zip(*rows))
-        if rising:
+        if phase.rises:
             bounds[6:] = np.inf
+        if phase.settles:
+            bounds[7] = np.inf
         # Samples say nothing of a joint that may come to rest within each cycle.
         bounds[2:4, self._slowed > 2.0] = np.inf
         residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
@@ -265,6 +303,37 @@ class Watch:
         # A joint that moves much less than commanded presses against something.
         self.stuck |= (np.abs(way) < 0.3 * np.abs(led)) & ~stands
         self._raise(j, _ROWS[k].format(measured[k, j], expected[k, j]))
+
+    @property
+    def _usually_added(self) -> Array:
+        """What the control of a sound joint may add to the fed torque (n,) [N m].
+
+        Of what it has added in the last second, and any friction that has turned since, it is the
+        nearest to what it adds now.
+        """
+        added = self._short[7]
+        lasting = self._long[7]
+        # Friction of one unit has changed the torque by this much since.
+        turned = self._short[8] - self._long[8]
+        most = self._friction * turned
+        change = np.clip(added - lasting, np.minimum(most, 0.0), np.maximum(most, 0.0))
+        return lasting + change
+
+    def _check_weight(self, followed: Reference) -> None:
+        """Raise HardwareAbort for a joint that carries the arm in the direction of its weight.
+
+        Friction may carry a joint that moves, but not against its weight.
+        """
+        weight = followed.weight
+        sign = np.sign(weight)
+        # What is fed beyond the weight accelerates the arm.
+        carried = self._short[7] + weight
+        helped = self._friction * np.maximum(-sign * self._short[8], 0.0)
+        # Where the weights of two links cancel, the model may have the sign wrong.
+        least = np.abs(weight) - INTERVAL * followed.weight_error
+        is_opposite = sign * carried + helped < np.minimum(least, -0.5 * self._doubt)
+        is_loaded = np.abs(weight) > LOADED * self._doubt
+        self._check_load(is_opposite & is_loaded, carried, weight)
 
     def _slowed_speed(self, way: Array, speed: Array) -> Array:
         """Return the mean speed (n,) [rad/s] nearest to ``way`` that a sampled ``speed`` allows."""
@@ -307,18 +376,18 @@ class Watch:
 
     def check_holding(self, q: Array) -> None:
         """Raise HardwareAbort for a joint that does not hold the arm still at q (n,) [rad]."""
-        is_wrong = self._holding.contradicts(q, self._carried)
-        self._check_load(is_wrong, self._holding.torque(q), "; see 'motors map'")
+        carried = self._short[6] + self._short[7]
+        is_wrong = self._holding.contradicts(q, carried)
+        self._check_load(
+            is_wrong, carried, self._holding.torque(q), "; see 'motors map'"
+        )
 
-    def _check_load(self, is_wrong: Mask, expected: Array, hint: str = "") -> None:
-        """Raise HardwareAbort for the first joint in ``is_wrong`` (n,), beside what is expected."""
+    def _check_load(
+        self, is_wrong: Mask, carried: Array, expected: Array, hint: str = ""
+    ) -> None:
+        """Raise HardwareAbort for the first joint in ``is_wrong`` (n,), with both torques (n,)."""
         for j in np.flatnonzero(is_wrong).tolist():
-            self._raise(j, _CARRIES.format(self._carried[j], expected[j]) + hint)
-
-    @property
-    def _carried(self) -> Array:
-        """Torque (n,) that carries the arm: the mean of the commanded one [N m]."""
-        return self._short[6] + self._short[7]
+            self._raise(j, _CARRIES.format(carried[j], expected[j]) + hint)
 
     def standing_limit(self, q: Array, reference_q: Array, fed: Array) -> Array:
         """Return how far each joint (n,) may be from the position where it should stand still.

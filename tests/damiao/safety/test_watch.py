@@ -11,11 +11,13 @@ import pytest
 from rigs.damiao_rig import mit_command, state, undoubted
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import BusTiming
+from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.holding import HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.plausibility import NO_STATUS
-from robot_sysid.damiao.safety.watch import Watch
+from robot_sysid.damiao.safety.watch import PLAYING, Phase, Watch
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
+from robot_sysid.records.usual_errors import WEIGHT
 
 JOINTS = damiao_joints(["DM4340"] * 2, 2)
 STEPS = np.full(2, 4e-4), np.array([0.02, 0.02]), np.full(2, 0.0137)
@@ -33,16 +35,24 @@ def watch(**settings):
     return Watch(JOINTS, complete, STEPS, PEAK, HOLDING)
 
 
-def words_of(cycles, flags=(), **settings):
+def words_of(cycles, phase=PLAYING, **settings):
     """What a watch says to cycles of replies and commands, or None."""
     watched = watch(**settings)
     try:
         for replies, command in cycles:
             watched.health.update(replies)
-            watched.check(replies, command, *flags)
+            watched.check(replies, command, followed(command), phase)
     except HardwareAbort as stopped:
         return str(stopped)
     return None
+
+
+def followed(command):
+    """The reference of a command whose torque is the weight."""
+    weight = command.torque
+    return Reference(
+        command.position, command.velocity, weight, weight, WEIGHT * np.abs(weight)
+    )
 
 
 def cycle(k, command, answered, *signals):
@@ -113,7 +123,8 @@ def test_answers_that_stay_the_same_though_they_report_motion_are_not_trusted(
     signals = [0.0, 0.0], [0.0, velocity], [0.0, -KD * velocity]
     with pytest.raises(HardwareAbort) if is_old else contextlib.nullcontext():
         for k in range(9):
-            watched.check(cycle(k, command, True, *signals)[0], command, rising=True)
+            replies, _ = cycle(k, command, True, *signals)
+            watched.check(replies, command, followed(command), Phase(rises=True))
     assert watched.trusted_joints.tolist() == [True, not is_old]
 
 
@@ -217,9 +228,9 @@ def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
 
 def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
     """It swings about where it will settle; a rated 9 N m sink it by 0.05 rad, two stop it."""
-    flags = {"flags": (True, True), "kp": (KP,)}
-    assert words_of(stand(50, q=-0.09), **flags) is None
-    words = words_of(stand(50, q=-0.11), **flags)
+    rising = {"phase": Phase(stands=True, rises=True), "kp": (KP,)}
+    assert words_of(stand(50, q=-0.09), **rising) is None
+    words = words_of(stand(50, q=-0.11), **rising)
     assert words == (
         "motor 2 disagrees in position: it is at -0.110 rad, and commanded to 0.000"
     )
@@ -244,4 +255,5 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
         command = mit_command(target, speed, kp, kd)
         now = state(q, qd, command.motor_torque(q, qd))
         both = np.ones(2, bool)
-        watched.check(undoubted(both, np.full(2, k * cycle), now, both), command)
+        replies = undoubted(both, np.full(2, k * cycle), now, both)
+        watched.check(replies, command, followed(command))
