@@ -46,6 +46,8 @@ SWITCH_INTERVAL = 2e-4
 class SameThreadLink:
     """A link whose arm answers at once, in the caller's thread."""
 
+    error_frames = 0
+
     def __init__(self, arm: SimulatedArm, clock: SystemClock) -> None:
         self._arm = arm
         self._clock = clock

@@ -21,7 +21,7 @@ from robot_sysid.damiao.joints import DamiaoJoint, Mounting, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand, Register
 from robot_sysid.damiao.safety.holding import file_holding
-from robot_sysid.damiao.safety.plausibility import Replies
+from robot_sysid.damiao.safety.plausibility import NO_STATUS, Replies
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import (
@@ -126,6 +126,8 @@ class FaultyMotor(SimulatedMotor):
         torque_share: torque that it makes per torque that it is to make.
         stiffness_share: stiffness that it has per stiffness that it is to have.
         jam_damping: damping of what holds its joint [N m s/rad].
+        false_status: status code that some of its answers have although it drives; None for none.
+        false_every: every so many answers have it.
         stored: registers in flash.
     """
 
@@ -143,9 +145,12 @@ class FaultyMotor(SimulatedMotor):
     torque_share: float = 1.0
     stiffness_share: float = 1.0
     jam_damping: float = 0.0
+    false_status: int | None = None
+    false_every: int = 10
     stored: dict = field(default_factory=dict)
     last_answer: bytes = b""
     ticked_at: float = 0.0
+    n_answers: int = 0
 
     @property
     def felt_slip(self):
@@ -175,6 +180,13 @@ class FaultyMotor(SimulatedMotor):
         torque = self.torque * self.torque_factor
         self.last_answer = self._pack(position, velocity, torque)
         return self.last_answer
+
+    def _pack(self, *measured):
+        data = super()._pack(*measured)
+        self.n_answers += 1
+        if self.false_status is None or self.n_answers % self.false_every:
+            return data
+        return bytes([self.false_status << 4 | data[0] & 0xF]) + data[1:]
 
     def _special(self, code):
         if code == protocol.CLEAR_ERROR:
@@ -423,6 +435,15 @@ def fault(joint, **values):
     return Fault(joint, values)
 
 
+def restarted(joint, seconds, shift=0.0):
+    """Return the cause that lets a motor start again, silent for so long [s].
+
+    Its position is then another one by ``shift`` [rad], which may be a function of the motor.
+    """
+    off = fault(joint, status=protocol.DISABLED, silent=True, shift=shift)
+    return both(off, later(seconds, fault(joint, silent=False)))
+
+
 def later(seconds, cause):
     """Return the cause that lets another one happen so many seconds later."""
     return lambda rig: rig.at(seconds, lambda: cause(rig))
@@ -471,7 +492,17 @@ def undoubted(answered, time, feedback, requested, command=None):
     no_count = np.zeros(len(answered), int)
     none = no_count != 0
     counts = none, none, 0.0 * no_count, no_count, no_count
-    return Replies(answered, time, feedback, requested, command, *counts)
+    reported = np.where(answered, feedback.status, NO_STATUS)
+    return Replies(
+        answered,
+        time,
+        feedback,
+        requested,
+        command,
+        *counts,
+        late=np.zeros(len(answered), int),
+        reported=reported,
+    )
 
 
 class MotorBus:

@@ -21,6 +21,11 @@ class RememberingLink:
         """The frames that were sent."""
         return [frame for frame, sent in self.frames if sent]
 
+    @property
+    def error_frames(self):
+        """Number of error frames that the adapter has reported."""
+        return self._link.error_frames
+
     def send(self, frame):
         self._link.send(frame)
         self.frames.append((frame._replace(time=self._clock.now()), True))

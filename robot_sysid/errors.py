@@ -133,9 +133,14 @@ class ExportError(SysidError):
 
 
 class HardwareAbort(SysidError):
-    """A run on the arm was stopped before its end."""
+    """A run on the arm was stopped before its end.
+
+    Attributes:
+        report: how the run went until then (PlayReport); None where it had not begun.
+    """
 
     exit_code = 3
+    report: Any = None
 
 
 def _signals(*names: str) -> tuple[signal.Signals, ...]:

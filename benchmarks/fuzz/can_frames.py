@@ -87,6 +87,8 @@ def frames_in(data: bytes) -> list[CanFrame]:
 class TalkativeBus:
     """A bus whose motors answer some commands, with other frames in between."""
 
+    error_frames = 0
+
     def __init__(self, frames: list[CanFrame], clock: SimulatedClock) -> None:
         self._frames = deque(frames)
         self._clock = clock

@@ -94,8 +94,9 @@ def play(
             ``park="rest"`` or ``record="measured.csv"``.
 
     Returns:
-        A report with number of cycles, lateness [s], missed commands and the largest tracking error
-        of each joint [rad].
+        A report with number of cycles, lateness [s], the largest tracking error of each joint [rad]
+        and how the motors answered. A recording is not to be used where its ``confirmed_reports``
+        name a fault that a motor reported again and again while it was driving.
 
     Raises:
         InputError: an option or a file cannot be used.

@@ -103,17 +103,20 @@ def can_message(frame: CanFrame, **stamp: Any) -> Any:
     )
 
 
-@dataclass(frozen=True)
+@dataclass
 class BusLink:
     """A link over an open bus of python-can.
 
     Attributes:
         bus: the open bus, which ``close`` closes.
         clock: clock in which the times of frames and deadlines are given.
+        error_frames: number of error frames so far. SocketCAN's adapters report them; the serial
+            ones do not.
     """
 
     bus: Any
     clock: SystemClock
+    error_frames: int = 0
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame; LinkError where the bus does not take it for 1.5 ms."""
@@ -151,7 +154,9 @@ class BusLink:
             if message is None:
                 if self.clock.now() >= until:
                     return None
-            elif not (message.is_extended_id or message.is_error_frame):
+            elif message.is_error_frame:
+                self.error_frames += 1
+            elif not message.is_extended_id:
                 return self._frame(message)
 
     def close(self) -> None:

@@ -77,6 +77,10 @@ class LinkError(HardwareAbort):
 class Link(Protocol):
     """One end of a CAN bus; times are in the clock with which it was opened."""
 
+    @property
+    def error_frames(self) -> int:
+        """Number of error frames that the adapter has reported so far."""
+
     def send(self, frame: CanFrame) -> None:
         """Send a frame, or raise LinkError."""
 
@@ -109,6 +113,11 @@ class GuardedLink:
     def receive(self, until: float) -> CanFrame | None:
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
         return self.link.receive(until)
+
+    @property
+    def error_frames(self) -> int:
+        """Number of error frames that the adapter has reported so far."""
+        return self.link.error_frames
 
     def drain(self) -> None:
         """Discard all frames that have already arrived."""
@@ -220,25 +229,29 @@ class RegisterClient:
         data = np.frombuffer(frame.data, np.uint8)
         return decode_feedback(data[None], Scaling([motor.limits]))
 
-    def seconds_to_refresh(self, reply_ids: Mapping[int, int]) -> float:
-        """Return the time until all motors, requested at once, have answered [s].
+    def seconds_to_refresh(self, reply_ids: Mapping[int, int]) -> dict[int, float]:
+        """Return the time until each motor, all requested at once, has answered [s], by CAN id.
 
-        ``reply_ids`` are the motors' reply ids by CAN id. NaN if one does not answer within 0.1 s.
-        Frames that have come earlier are discarded.
+        ``reply_ids`` are the motors' reply ids by CAN id. NaN for one that does not answer within
+        0.1 s. Frames that have come earlier are discarded.
         """
         self.link.drain()
         start = self.link.clock.now()
         for can_id in reply_ids:
             self.link.send(register_frame(REFRESH, can_id))
+        seconds = dict.fromkeys(reply_ids, np.nan)
         missing = set(reply_ids.values())
-        while missing:
-            # Later answers are useless to a control loop.
-            frame = self.link.receive(start + 0.1)
-            if frame is None:
-                return np.nan
-            if not frame.echo:
-                missing.discard(frame.id)
-        return self.link.clock.now() - start
+        # Later answers are useless to a control loop.
+        until = start + 0.1
+        while missing and (frame := self.link.receive(until)) is not None:
+            if frame.echo or frame.id not in missing:
+                continue
+            missing.remove(frame.id)
+            elapsed = self.link.clock.now() - start
+            # Motors that share an id cannot be told apart.
+            same = [can_id for can_id in reply_ids if reply_ids[can_id] == frame.id]
+            seconds.update(dict.fromkeys(same, elapsed))
+        return seconds
 
     def answers(self, request: CanFrame) -> Iterator[tuple[float, int]]:
         """Yield value and arbitration id of each reply to a register request, as ``_answers``."""
@@ -281,12 +294,15 @@ class InspectedMotor:
         reply_ids: arbitration ids of the replies; several if several motors have this CAN id.
         registers: value of each register that was answered, by its number.
         feedback: state of the motor, fields (1,); None without answer or scaling limits.
+        answer_times: time from each request of all motors' states to this one's answer [s], NaN
+            where none came; empty where states were not asked for again.
     """
 
     can_id: int
     reply_ids: tuple[int, ...]
     registers: Mapping[int, float]
     feedback: Feedback | None
+    answer_times: tuple[float, ...] = ()
 
     @property
     def name(self) -> str:
@@ -318,11 +334,19 @@ class Inspection:
         unsolicited: number of frames that came within 0.05 s before anything was requested.
         round_trip: 90th percentile of the time in which all motors, requested at once, answer [s];
             NaN where more than a tenth ended without some motor's answer, or a state is unknown.
+        error_frames: number of error frames that the adapter reported meanwhile.
     """
 
     motors: Mapping[int, InspectedMotor]
     unsolicited: int
     round_trip: float
+    error_frames: int = 0
+
+
+# Number of times that the states of all motors are requested, and which one of the sorted times is
+# their 90th percentile.
+_N_ROUNDS = 20
+_PERCENTILE_90 = 17
 
 
 def inspect_bus(link: GuardedLink) -> Inspection:
@@ -330,6 +354,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
 
     No motor is enabled or changed.
     """
+    error_frames = link.error_frames
     # Shows programs that send at 40 Hz or more.
     until = link.clock.now() + 0.05
     unsolicited = 0
@@ -351,7 +376,12 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         # Measured under the conditions of a run, for which the time matters.
         first_ids = {can_id: motor.reply_ids[0] for can_id, motor in motors.items()}
         with undisturbed_processor(live=link.clock.live):
-            times = [client.seconds_to_refresh(first_ids) for _ in range(20)]
+            rounds = [client.seconds_to_refresh(first_ids) for _ in range(_N_ROUNDS)]
+        slowest = [np.max([0.0, *seconds.values()]) for seconds in rounds]
         # NaN comes last.
-        round_trip = np.sort(times)[17]
-    return Inspection(motors, unsolicited, round_trip)
+        round_trip = np.sort(slowest)[_PERCENTILE_90]
+        for can_id, motor in motors.items():
+            answer_times = tuple(seconds[can_id] for seconds in rounds)
+            motors[can_id] = replace(motor, answer_times=answer_times)
+    errors_meanwhile = link.error_frames - error_frames
+    return Inspection(motors, unsolicited, round_trip, errors_meanwhile)

@@ -42,7 +42,7 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.damiao.weight_file import weight_path
-from robot_sysid.errors import InputError, SysidError, error_text
+from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
@@ -340,7 +340,8 @@ def run(
         activity: what the arm does; None plays the trajectory.
 
     Raises:
-        HardwareAbort: a check forbids the run, or the run was stopped; the message has the reason.
+        HardwareAbort: a check forbids the run, or the run was stopped; the message has the reason,
+            and ``report`` is that of the run, if it had begun.
         InputError: a recording exists already or cannot be written.
         SysidError: the run went to its end, but recording or printing failed.
     """
@@ -358,6 +359,7 @@ def run(
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     path = plan.recording.record
+    player: Player | None = None
     try:
         recorder = None
         if path is not None:
@@ -373,6 +375,9 @@ def run(
                 holding,
             )
             report = player.play(activity)
+    except HardwareAbort as stopped:
+        stopped.report = player and player.report
+        raise
     finally:
         console.finish()
     for failure in filter(None, (writer.failure, console.failure)):

@@ -13,7 +13,7 @@ import contextlib
 import signal
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
-from robot_sysid.damiao.protocol import KD_STEP, MitCommand
+from robot_sysid.damiao.protocol import KD_STEP, Codes, MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
     Activity,
@@ -31,6 +31,7 @@ from robot_sysid.damiao.references import (
     hold_reference,
     transfer_reference,
 )
+from robot_sysid.damiao.safety.health import CONFIRMED
 from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.safety.plausibility import Replies
 from robot_sysid.damiao.safety.stopping import LONGEST_LOWERING, CarriedStop, Lowering
@@ -98,23 +99,57 @@ class CycleTimer:
 
 @dataclass(frozen=True)
 class PlayReport:
-    """Timing, missed answers and tracking errors of a completed run of n joints.
+    """Timing, health of the bus and tracking errors of a run of n joints.
+
+    The health is that of all cycles since the motors were enabled. A command is answered, or its
+    answer was refused, came late, or was lost.
 
     Attributes:
         cycles: number of control cycles in which the trajectory was played.
         skipped: number of cycles that were skipped because the computer was late.
         lateness_p50: median delay of the cycles [s].
         lateness_p99: 99th percentile of the cycles' delays [s].
-        missed: number (n,) of commands without an answer.
+        missed: number (n,) of commands without an answer that was used.
         worst_tracking: largest distance (n,) from the commanded position [rad].
+        commands: number (n,) of commands.
+        late: number (n,) of answers that no command of their cycle awaited any more.
+        refused: number (n,) of answers that were not used, because they cannot be true or say that
+            the motor does not drive.
+        reports: how often each of the n motors answered with a status code other than "enabled", by
+            code, whether the answer was used or not.
+        error_frames: number of error frames on the bus, as far as the adapter reports them.
     """
 
     cycles: int
     skipped: int
     lateness_p50: float
     lateness_p99: float
-    missed: Array
+    missed: Codes
     worst_tracking: Array
+    commands: Codes
+    late: Codes
+    refused: Codes
+    reports: tuple[Mapping[int, int], ...]
+    error_frames: int
+
+    @property
+    def lost(self) -> Codes:
+        """Number (n,) of commands to which no answer came at all."""
+        return np.maximum(self.missed - self.late - self.refused, 0)
+
+    @property
+    def is_flawless(self) -> bool:
+        """Whether every command was answered, and nothing else was seen on the bus."""
+        counts = np.concatenate([self.missed, self.late, self.refused])
+        return not (np.any(counts) or self.error_frames or any(self.reports))
+
+    @property
+    def confirmed_reports(self) -> tuple[Mapping[int, int], ...]:
+        """The ``reports`` that are the motors' own: a single one may be a damaged answer."""
+        return tuple(
+            {code: n for code, n in sorted(counts.items()) if n >= CONFIRMED}
+            for counts in self.reports
+        )
 
 
 class Player:
@@ -162,6 +197,7 @@ class Player:
         # Time of the last answer in the clock [s].
         self._heard_at = 0.0
         self._n_recorded = 0
+        self._first_error_frame = session.error_frames
 
     def play(self, activity: Activity) -> PlayReport:
         """Enable the motors, do what the activity says, rest, lower, and return a report.
@@ -178,14 +214,28 @@ class Player:
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
                 raise HardwareAbort(reason) from error
+        assert self.report is not None
+        return self.report
+
+    @property
+    def report(self) -> PlayReport | None:
+        """The run so far, also one that was stopped; None before the first cycle."""
+        if self._reference is None:
+            return None
         p50, p99 = np.percentile(self._timer.lateness, [50.0, 99.0]).tolist()
+        health = self._watch.health
         return PlayReport(
             self._n_recorded,
             self._timer.skipped,
             p50,
             p99,
-            self._watch.health.total_missed,
+            health.total_missed,
             self._watch.worst_tracking,
+            health.commanded,
+            health.late,
+            health.doubted,
+            tuple(health.reports),
+            self._session.error_frames - self._first_error_frame,
         )
 
     def _run_phases(self, activity: Activity) -> None:
@@ -295,9 +345,9 @@ class Player:
 
         Returns the replies, and the command that was in force when they were sampled. Reference,
         command and the time of the replies are stored. The gain, which scales stiffness and torque,
-        rises to 1 in the first cycles of a run. Failed motors get no command. If ``braking``, a
-        command beyond the bounds is limited to them, not refused, and motors whose answers are
-        missing are commanded too.
+        rises to 1 in the first cycles of a run. Motors that the run has switched off get no
+        command. If ``braking``, a command beyond the bounds is limited to them, not refused, and
+        motors whose answers are missing are commanded too.
         """
         # A share of the ramp: short, so that the arm does not sink; then the standing arm is
         # observed.
@@ -315,8 +365,8 @@ class Player:
         zero = 0.0 * torque
         acted = self._command or command._replace(kp=zero, kd=zero, torque=zero)
         until = self._clock.now() + REPLY_SHARE * self._settings.period
-        # A motor that does not answer may still obey.
-        driven = ~self._watch.failed
+        # A motor that does not answer may still obey, and one that reports a fault may still drive.
+        driven = ~self._watch.to_switch_off
         replies = self._session.exchange(command, until, driven, braking)
         self._watch.health.update(replies)
         self._reference = reference

@@ -4,7 +4,8 @@ Comment lines describe the run (motors, register values, gains, time stamps). Th
 for each control cycle: ``time``, position, velocity and torque of each joint, and per joint the
 time stamp of its own sample, the command in force when it was sampled, whether an answer was
 doubted, status and temperatures. Cells of a joint that did not answer, or whose answer was not
-believed, are empty.
+believed, are empty but for the status that such an answer reported: an answer with a status that is
+not the motor's may be a damaged one, whose other fields are not trusted either.
 
 Printing and recording are done by another thread than the control loop. A terminal that is closed,
 held (Ctrl-S) or full, or a disk that is full or does not answer, would otherwise stop or delay the
@@ -41,7 +42,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao.protocol import MitCommand, register_text
-from robot_sysid.damiao.safety.plausibility import Replies
+from robot_sysid.damiao.safety.plausibility import NO_STATUS, Replies
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
@@ -202,11 +203,10 @@ class MeasurementRecorder:
             """Write the measured columns of all joints, then the further ones."""
             feedback = replies.feedback
             centre = self._centring.torques(replies, acted)
-            codes = (
-                feedback.status,
-                feedback.temperature_mos,
-                feedback.temperature_rotor,
-            )
+            # Also of an answer that is not believed, perhaps because of its status.
+            is_reported = replies.reported != NO_STATUS
+            status = np.where(is_reported, replies.reported, np.nan)
+            temperatures = feedback.temperature_mos, feedback.temperature_rotor
             further = (
                 replies.time - origin,
                 acted.position,
@@ -214,7 +214,8 @@ class MeasurementRecorder:
                 acted.torque,
                 centre,
                 replies.doubted,
-                *np.where(replies.answered, codes, np.nan),
+                status,
+                *np.where(replies.answered, temperatures, np.nan),
             )
             # Rows of these tables are joints.
             measured = np.column_stack(
@@ -252,7 +253,7 @@ def _head(plan: Plan, registers: Sequence[Mapping[int, float]]) -> list[str]:
         "because motors drop the fraction",
         "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
         "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
-        "jN_doubted=1: an answer came that cannot be true; it is left out here",
+        "jN_doubted=1: an answer came that cannot be true; it is left out here, but for its status",
     ]
 
 

@@ -69,8 +69,9 @@ class Outstanding:
     answers are left in a slow adapter, and each answer belongs to the command before it.
 
     Attributes:
-        surplus: number (n,) of answers in this cycle that no command had requested; the caller
-            sets this to zero before each cycle.
+        surplus: number (n,) of answers in this cycle that no command had requested.
+        late: number (n,) of answers in this cycle, or since the last one, that do not answer a
+            command of the cycle in which they came.
     """
 
     def __init__(self, n: int) -> None:
@@ -80,7 +81,14 @@ class Outstanding:
         self._silent = np.zeros(n, int)
         # Whether the motor got a command in the present cycle.
         self._commanded = np.zeros(n, bool)
-        self.surplus = np.zeros(n, int)
+        # Whether the motor got a command in the cycle that is not over.
+        self._awaited = self._commanded
+        self.surplus, self.late = np.zeros((2, n), int)
+
+    def end_cycle(self) -> None:
+        """End a cycle: its numbers become zero, and answers that come from now on are late."""
+        self.surplus, self.late = np.zeros((2, len(self._owes)), int)
+        self._awaited = np.zeros(len(self._owes), bool)
 
     def may_be_commanded(self, motors: Mask) -> Mask:
         """Begin a cycle; count and return the motors (n,) that may get a command in it.
@@ -92,6 +100,7 @@ class Outstanding:
         self._silent = np.where(self._commanded, 0, self._silent + 1)
         self._owes &= self._silent < PAUSE
         self._commanded = motors & ~self._owes
+        self._awaited = self._commanded
         self._owes |= self._commanded
         return self._commanded
 
@@ -100,7 +109,8 @@ class Outstanding:
 
         An answer that no command awaits is counted in ``surplus``.
         """
-        is_timely = bool(self._commanded[j] and self._owes[j])
+        is_timely = bool(self._awaited[j] and self._owes[j])
+        self.late[j] += not is_timely
         self.surplus[j] += not self._owes[j]
         self._owes[j] = False
         self._silent[j] = 0
@@ -192,6 +202,11 @@ class MotorSession:
     def misled(self) -> Mask:
         """Whether each motor's own control (n,) uses a position that was refused."""
         return self._filter.misled
+
+    @property
+    def error_frames(self) -> int:
+        """Number of error frames on the bus so far, as far as the adapter reports them."""
+        return self._link.error_frames
 
     def open_range(self) -> None:
         """Widen the range of commanded positions to that of the frames; speeds stay limited.
@@ -290,7 +305,7 @@ class MotorSession:
             LinkError: the bus does not work.
         """
         self._takes_any_answer = braking
-        self._outstanding.surplus[:] = 0
+        self._outstanding.end_cycle()
         self._foreign[:] = 0
         # Answers that have come since the last exchange are counted, but not used.
         while (frame := self._link.receive(self.clock.now())) is not None:
@@ -328,6 +343,9 @@ class MotorSession:
             jump=jump,
             surplus=self._outstanding.surplus.copy(),
             foreign=self._foreign.copy(),
+            # A stop awaits no answer before the next command.
+            late=(not braking) * self._outstanding.late,
+            reported=feedback.status,
         )
 
     def _put_in_force(self, packed: Bytes, commanded: Mask, now: float) -> None:

@@ -317,7 +317,12 @@ class SimulatedLink:
         arm: arm that gets the frames and answers.
         timing: frame format and bit rates of the bus.
         echo: whether each sent frame is also received, when it was on the bus, as with SocketCAN.
+
+    Attributes:
+        error_frames: number of error frames: this bus has none.
     """
+
+    error_frames = 0
 
     def __init__(
         self,

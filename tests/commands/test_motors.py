@@ -178,6 +178,39 @@ def test_play_records_but_over_no_file_and_nobody_is_asked_first(
     assert len(recording.columns["time"]) == 26 and person[1] == []
 
 
+FAST = "--rate 125 --yes"
+
+
+def test_a_run_without_missing_answers_says_so_in_a_line(capsys, bus, trajectory):
+    out = succeed(capsys, "play", trajectory, CAN0, FAST)
+    assert "every command was answered" in out and "lost" not in out
+    lines = [line.split() for line in out.splitlines()]
+    assert ["motor", "1", "20", "20"] in [line[:4] for line in lines]
+    assert lines.count(["error", "frames", "on", "the", "bus:", "0"]) == 1
+
+
+def test_a_fault_that_a_motor_reports_while_it_drives_is_the_verdict(
+    capsys, bus, trajectory
+):
+    bus.at(1.0, lambda: fault(1, false_status=3)(bus))
+    code, out, _ = run(capsys, "play", trajectory, CAN0, FAST)
+    assert code == 1 and bus.states() == [DISABLED] * 2
+    *_, verdict, remedy = out.splitlines()
+    pattern = "Not usable: motor 2 reported status 3: .* in (\\d+) answers; played to"
+    (count,) = re.findall(pattern, verdict)
+    assert remedy.startswith("Find the cause")
+    row = rf"motor 2 +\d+ +0 +0 +{count} +status 3: .* \({count} times\)"
+    assert re.search(row, out) and re.search(r"motor 1 +\d+ +0 +0 +0 +-$", out, re.M)
+    assert "error frames on the bus: 0" in out.split("largest distance")[1]
+
+
+def test_a_run_that_is_stopped_says_how_the_motors_answered(capsys, bus, trajectory):
+    bus.at(3.0, lambda: fault(1, lost_replies=True)(bus))
+    code, out, _ = run(capsys, "play", trajectory, CAN0, FAST)
+    assert code == 3
+    assert re.search(r"motor 2 +\d+ +[1-9]\d* +0 +0 +-$", out, re.M)
+
+
 def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
     def interrupt():
         raise KeyboardInterrupt

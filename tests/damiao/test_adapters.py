@@ -24,7 +24,7 @@ from robot_sysid.damiao.adapters import (
     SerialReader,
     open_bus,
 )
-from robot_sysid.damiao.bus import LinkError, SimulatedClock, SystemClock
+from robot_sysid.damiao.bus import GuardedLink, LinkError, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol import DISABLE, BusTiming, CanFrame, special_frame
 from robot_sysid.errors import InputError
 
@@ -89,6 +89,7 @@ def test_other_and_garbled_frames_are_passed_over_and_echoes_marked(clock):
     link = BusLink(bus, clock)
     frames = [link.receive(1.0) for _ in range(2)]
     assert [(f.id, f.echo) for f in frames] == [(1, True), (3, False)]
+    assert link.error_frames == GuardedLink(link, clock).error_frames == 1
     assert link.receive(1.0) is None and clock.now() == 1.0
 
 

@@ -1,4 +1,4 @@
-"""Real-time priority of a control loop."""
+"""Real-time priority of a control loop, and what an inspection of a bus finds."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import os
 import sys
 import threading
 
+import numpy as np
 import pytest
 
-from robot_sysid.damiao.bus import undisturbed_processor
+from rigs.damiao_rig import MotorBus
+from robot_sysid.damiao.bus import inspect_bus, undisturbed_processor
+from robot_sysid.damiao.protocol import REFRESH
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
 
@@ -80,3 +83,35 @@ def test_simulated_time_takes_no_priority(schedules):
     with undisturbed_processor(live=False):
         assert not gc.isenabled()
     assert schedules == {}
+
+
+def test_an_inspection_says_how_the_motors_answered():
+    """Of the answers to twenty requests to all motors at once, some are lost."""
+    bus = MotorBus()
+    sound = inspect_bus(bus.link)
+    times = np.array([motor.answer_times for motor in sound.motors.values()])
+    assert times.shape == (2, 20) and sound.error_frames == 0
+    # Both are asked, then answer one after the other.
+    assert np.all(np.diff(times, axis=0) > 1e-4)
+    assert np.max(times) == sound.round_trip < 1e-3
+    second = bus.motors[1]
+    handle = second.handle
+    counts = []
+
+    def lose_some(frame, time):
+        """Lose the answers to three of the twenty requests."""
+        answer = handle(frame, time)
+        is_round = frame.data[2] == REFRESH and frame.data[0] == second.can_id
+        counts.extend([time] * is_round)
+        # The state is asked for once before.
+        is_lost = is_round and len(counts) in (3, 6, 9)
+        return None if is_lost else answer
+
+    second.handle = lose_some
+    bus.bus.error_frames = 4
+    worse = inspect_bus(bus.link)
+    lost = np.flatnonzero(np.isnan(worse.motors[2].answer_times))
+    assert lost.tolist() == [1, 4, 7]
+    assert np.all(np.isfinite(worse.motors[1].answer_times))
+    # More than a tenth.
+    assert np.isnan(worse.round_trip) and worse.error_frames == 0

@@ -18,12 +18,14 @@ import pytest
 
 from rigs.damiao_rig import (
     BIT_RATE,
+    Damage,
     Rig,
     both,
     fault,
     later,
     lifted_swing,
     motor,
+    restarted,
     swing,
 )
 from rigs.places import ROOT
@@ -33,6 +35,7 @@ from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import (
     DISABLE,
+    DISABLED,
     ENABLED,
     CanFrame,
     Register,
@@ -78,6 +81,71 @@ def test_lost_replies_and_a_short_stall_leave_gaps_and_nothing_is_replayed(rig):
         0.004 * (1 + run.report.skipped), abs=1e-9
     )
     assert np.all(np.diff(recording.columns["j0_cmd_pos"][:120]) >= 0.0)
+
+
+def test_a_status_in_every_tenth_answer_is_counted_in_a_run_that_goes_on(rig):
+    """Its rows have no values of this motor, but for the status."""
+    wrong = fault(1, false_status=3, false_every=10)
+    run = rig(**USUAL).during("playing", 0.2, wrong).run(settle=0.0)
+    recording = run.assert_played()
+    status = recording.joint_values("status")[:, 1]
+    n_rows = np.count_nonzero(status == 3)
+    assert n_rows == pytest.approx(0.8 * 250 / 10, abs=1)
+    np.testing.assert_array_equal(
+        np.isnan(recording.joint_values("pos")[:, 1]), status == 3
+    )
+    # Some of them came while the arm came to rest.
+    (none, reports) = run.report.reports
+    assert none == {} and [*reports] == [3] and n_rows <= reports[3] <= n_rows + 3
+    assert run.report.confirmed_reports == run.report.reports
+    assert run.report.refused.tolist() == run.report.missed.tolist() == [0, reports[3]]
+    assert not np.any(run.report.lost) and not run.report.is_flawless
+
+
+def test_each_command_is_answered_or_its_answer_refused_late_or_lost(rig):
+    run = rig(**USUAL)
+    run.bus.error_frames = 2
+    deliver = run.bus._deliver
+    sent = []
+    lost = []
+
+    def lose_or_delay(frame):
+        """Every 60th answer of the second motor is lost, and every 60th is 5 ms late."""
+        plays = run.has_begun("playing") and not run.has_begun("coming")
+        if frame.id == 0x12 and plays:
+            sent.append(frame)
+            if len(sent) % 60 == 20:
+                lost.append(frame)
+                return
+            if len(sent) % 60 == 50:
+                frame = frame._replace(time=frame.time + 0.005)
+        deliver(frame)
+
+    run.bus._deliver = lose_or_delay
+
+    def see_errors(rig):
+        rig.bus.error_frames += 3
+
+    run.during("playing", 0.1, see_errors)
+    run.during("playing", 0.2, Damage("status", 7, 1)).run(settle=0.0)
+    report = run.report
+    assert report.lost.tolist() == [0, len(lost)] and len(lost) > 3
+    assert report.late.tolist() == [0, (len(sent) + 10) // 60]
+    assert report.refused.tolist() == [0, 1] and report.error_frames == 3
+    assert report.reports == ({}, {7: 1}) and report.confirmed_reports == ({}, {})
+    assert (
+        report.missed.tolist() == (report.lost + report.late + report.refused).tolist()
+    )
+    commands = [frame for frame in run.wire.sent if not is_special(frame.data)]
+    for j in range(2):
+        n_sent = sum(frame.id == run.motors[j].can_id for frame in commands)
+        assert report.commands[j] == n_sent
+
+
+def test_a_run_without_a_fault_of_the_bus_is_flawless(plain_run):
+    report = plain_run.report
+    assert report.is_flawless and np.all(report.commands > 100)
+    assert report.confirmed_reports == ({}, {})
 
 
 def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(
@@ -356,7 +424,7 @@ TABLE = (
     Line("adapter unplugged", UNPLUGGED, TRIPS, "gone; no confirmation"),
     Line("motor dies", fault(1, silent=True), "1D 0D 0D", LOST),
     Line("answers lost", fault(1, lost_replies=True), "11 00 00", LOST),
-    Line("disabled by itself", fault(1, status=0), "10 00 00", "motor 2 reports status 0"),
+    Line("disabled by itself", fault(1, status=0), "10 00 00", "motor 2 was switched off"),
     Line("all fail", both(fault(0, status=9), fault(1, status=9)), "99 99 99", "status 9"),
     Line(
         "a second one fails while it brakes",
@@ -417,6 +485,38 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
         frame.data[7] for frame in run.wire.sent if is_special(frame.data)
     ].count(0xFC)
     assert enabled == 2
+
+
+def to_zero(hit):
+    return -hit.position
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shift"),
+    [(0.002, 2.0 * np.pi), (0.008, 0.0), (0.008, to_zero), (0.014, -0.3)],
+)
+def test_a_motor_that_starts_again_is_not_taken_for_a_cable(rig, seconds, shift):
+    """Whatever position it then has: its turn count may be lost, or its zero."""
+    run = rig(**USUAL)
+    run.during("playing", 0.25, restarted(1, seconds, shift)).run(settle=0.0)
+    assert "motor 2 was switched off, or started again" in str(run.error), run.error
+    assert run.error.report.reports[1][DISABLED] >= 1
+
+
+def test_a_motor_that_only_says_that_it_does_not_drive_goes_on_holding_its_joint(
+    rig, monkeypatch
+):
+    """A stop lets go of nothing that it held: its watchdog would be left to drop the joint."""
+    monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
+    motion = lifted_swing(0.8, duration=1.0)
+    run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
+    seen = []
+    run.during("stopping", 0.2, lambda r: seen.append(states(r)))
+    lies = fault(1, false_status=3, false_every=1)
+    run.during("moving", 0.05, lies).run(settle=0.0)
+    assert "motor 2 reports status 3" in str(run.error)
+    assert seen == ["11"]
+    assert farthest_from(0.8, run) < 0.04
 
 
 @pytest.mark.slow

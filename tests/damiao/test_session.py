@@ -169,6 +169,16 @@ def test_no_answer_is_taken_for_that_to_another_command(delays):
                 requests[cycle + delay].append(cycle)
         for requested in requests[cycle]:
             assert books.take_answer(0) == (requested == cycle)
+        assert books.late[0] == sum(r != cycle for r in requests[cycle])
+        books.end_cycle()
+
+
+def test_an_answer_that_comes_between_two_cycles_is_late():
+    books = Outstanding(1)
+    assert books.may_be_commanded(ONE)[0]
+    books.end_cycle()
+    assert not books.take_answer(0)
+    assert (books.late[0], books.surplus[0]) == (1, 0)
 
 
 def test_a_late_cycle_and_a_timely_one_after_it_are_within_the_bounds():

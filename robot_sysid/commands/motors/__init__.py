@@ -14,6 +14,7 @@ from robot_sysid.commands.motors.mapping import MapOptions, map_joints
 from robot_sysid.commands.motors.session import (
     PlayChoices,
     Session,
+    conclude_on_reports,
     findings,
     play_step,
     run_checked,
@@ -61,15 +62,18 @@ def check(session: Session) -> int:
 
 
 def play(session: Session, is_real: bool = True) -> int:
-    """Play a trajectory and print how it ended; return the exit code 0.
+    """Play a trajectory and print how it ended; return the exit code.
 
-    ``is_real`` tells whether to play on real motors, not on a simulated arm in simulated time.
-    Errors are those of ``run_checked``; InputError without --channel for real motors.
+    It is 1 where a motor reported a fault again and again, and else 0. ``is_real`` tells whether to
+    play on real motors, not on a simulated arm in simulated time. Errors are those of
+    ``run_checked``; InputError without --channel for real motors.
     """
     plan = session.plan()
     opened = session.open_guarded() if is_real else session.open_simulated(plan)
     with opened as link:
-        run_checked(session, link, plan, inspect_bus(link), is_real)
+        report = run_checked(session, link, plan, inspect_bus(link), is_real)
+    if conclude_on_reports(session, report, plan.trajectory.joints):
+        return 1
     record = plan.recording.record
     done = "played, and all motors are disabled"
     verdict = f"Usable: {done}; recorded to {record}" if record else f"Done: {done}"

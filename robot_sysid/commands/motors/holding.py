@@ -6,7 +6,11 @@ import contextlib
 
 import numpy as np
 
-from robot_sysid.commands.motors.session import Session, run_checked
+from robot_sysid.commands.motors.session import (
+    Session,
+    conclude_on_reports,
+    run_checked,
+)
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.floating import Floating, measure_drift
 from robot_sysid.damiao.protocol import Scaling
@@ -20,7 +24,8 @@ from robot_sysid.records.option_fields import record_from
 def hold(session: Session) -> int:
     """Hold an arm where it is, or let it float, and print how its joints drift.
 
-    Returns the exit code 0. Errors are those of ``run_checked`` and ``standing_plan``.
+    Returns the exit code: 1 where a motor reported a fault again and again, else 0. Errors are
+    those of ``run_checked`` and ``standing_plan``.
     """
     options = record_from(HoldOptions, session.values)
     is_real = not options.simulate
@@ -39,7 +44,7 @@ def hold(session: Session) -> int:
             text = f"taking the stiffness away, then floating {text}"
             activity = Activity(text, floating.begin, floating.duration)
         try:
-            run_checked(session, link, plan, inspection, is_real, activity)
+            report = run_checked(session, link, plan, inspection, is_real, activity)
         except HardwareAbort:
             # No error of measuring or printing may hide what happened to the motors.
             with contextlib.suppress(Exception):
@@ -48,7 +53,7 @@ def hold(session: Session) -> int:
             raise
         session.verdict = ("Done: held, and all motors are disabled",)
         _conclude(session, plan, floating)
-    return 0
+    return conclude_on_reports(session, report, plan.trajectory.joints)
 
 
 def _conclude(session: Session, plan: Plan, floating: Floating) -> None:

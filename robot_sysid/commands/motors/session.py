@@ -16,11 +16,11 @@ from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, insp
 from robot_sysid.damiao.checks.preflight import require_playable
 from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, matching_types
-from robot_sysid.damiao.player import StopRequest
+from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_text
 from robot_sysid.damiao.references import Activity
 from robot_sysid.damiao.settings import Plan
-from robot_sysid.errors import InputError
+from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.pipeline.next_steps import step_with_motion
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
@@ -140,6 +140,78 @@ def motor_table(
     return aligned_lines(rows)
 
 
+_STATUS_HEADING = "status"
+_ERROR_FRAMES = "error frames on the bus: {}"
+
+
+def inspected_health(inspection: Inspection) -> list[str]:
+    """Return the lines of a table: how an inspection's motors answered when all were asked at once.
+
+    It is empty where they were not asked, because the state of one of them is not known.
+    """
+    rows = [["bus health", "asked", "came", "after ms", "slowest ms", _STATUS_HEADING]]
+    for motor in inspection.motors.values():
+        if motor.feedback is None or not motor.answer_times:
+            continue
+        times = np.array(motor.answer_times)
+        came = times[np.isfinite(times)]
+        median, slowest = (
+            (f"{1e3 * time:.2f}" for time in (np.median(came), np.max(came)))
+            if came.size
+            else "??"
+        )
+        counts = str(times.size), str(came.size)
+        status = status_text(motor.feedback.status[0])
+        rows.append([motor.name, *counts, median, slowest, status])
+    errors = _ERROR_FRAMES.format(inspection.error_frames)
+    return [*_table(rows), errors] if len(rows) > 1 else []
+
+
+def run_health(report: PlayReport, joints: Sequence[DamiaoJoint]) -> list[str]:
+    """Return lines that say how the motors of joints answered in a run.
+
+    One line where every command was answered and nothing else was seen, else a table.
+    """
+    if report.is_flawless:
+        return ["every command was answered"]
+    headings = "bus health", "commands", "lost", "late", "refused", _STATUS_HEADING
+    rows: list[Sequence[str]] = [headings]
+    counts = report.commands, report.lost, report.late, report.refused
+    for joint, reports, *numbers in zip(joints, report.reports, *counts):
+        status = ", ".join(
+            f"{status_text(code)} ({n} times)" for code, n in sorted(reports.items())
+        )
+        rows.append([joint.label, *map(str, numbers), status or "-"])
+    return [*_table(rows), _ERROR_FRAMES.format(report.error_frames)]
+
+
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return aligned rows of which the first and the last column are texts, the others numbers."""
+    return aligned_lines(rows, right_aligned=rows[0][1:-1])
+
+
+def conclude_on_reports(
+    session: Session, report: PlayReport, joints: Sequence[DamiaoJoint]
+) -> int:
+    """Return the exit code of a run that went to its end: 1 where a motor reported a fault.
+
+    A motor may go on driving meanwhile. Then the verdict says which status was reported how often.
+    """
+    faults = [
+        f"{joint.label} reported {status_text(code)} in {n} answers"
+        for joint, reports in zip(joints, report.confirmed_reports)
+        for code, n in reports.items()
+    ]
+    if not faults:
+        return 0
+    session.step = None
+    session.verdict = (
+        f"Not usable: {'; '.join(faults)}; played to the end, and all motors are disabled",
+        "Find the cause, then switch the motor's power off and on",
+    )
+    return 1
+
+
 def findings(
     session: Session, plan: Plan, inspection: Inspection | None, is_real: bool = True
 ) -> list[Remark]:
@@ -152,6 +224,7 @@ def findings(
         remarks += session.inspection_checks(plan, inspection, is_real)
         motors = inspection.motors.values()
         session.console.stage(*motor_table(motors, plan.trajectory.joints))
+        session.console.stage(*inspected_health(inspection))
     for remark in remarks:
         mark = "STOP" if remark.level is Level.REFUSES else "note"
         session.console.stage(f"[{mark}] {remark.text}")
@@ -165,8 +238,8 @@ def run_checked(
     inspection: Inspection,
     is_real: bool,
     activity: Activity | None = None,
-) -> None:
-    """Check a plan on inspected motors, ask the user, run it, and print how it went.
+) -> PlayReport:
+    """Check a plan on inspected motors, ask the user, run it, print how it went and return that.
 
     When the user has confirmed, the motors are inspected and checked once more.
 
@@ -195,18 +268,25 @@ def run_checked(
         inspection = inspect_bus(link)
         require_playable(session.inspection_checks(plan, inspection))
     holding = session.holding(plan)
-    report = run(
-        link, plan, inspection, StopRequest(), console.stage, holding, activity
-    )
+    joints = plan.trajectory.joints
+    try:
+        report = run(
+            link, plan, inspection, StopRequest(), console.stage, holding, activity
+        )
+    except HardwareAbort as stopped:
+        # No error of printing may hide what happened to the motors.
+        with contextlib.suppress(Exception):
+            if stopped.report is not None:
+                console.stage(*run_health(stopped.report, joints))
+        raise
     tracking = ", ".join(f"{error:.3f}" for error in report.worst_tracking)
     console.stage(
         f"played {report.cycles} cycles, {report.skipped} skipped; started late by "
         f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)",
         f"largest distance from the path per joint [rad]: {tracking}",
+        *run_health(report, joints),
     )
-    if np.any(report.missed):
-        missed = ", ".join(map(str, report.missed))
-        console.stage(f"unanswered commands per joint: {missed}")
+    return report
 
 
 def play_step(session: Session, plan: Plan) -> NextStep:

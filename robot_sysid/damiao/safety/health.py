@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.protocol import ENABLED, status_text
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, status_text
 from robot_sysid.damiao.safety.plausibility import NO_STATUS, Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
@@ -15,6 +16,8 @@ from robot_sysid.errors import HardwareAbort
 # What single damaged frames do not explain: missing answers, answers and commands too many, each
 # counted with a decay.
 _FEW = 2.5
+CONFIRMED = 2
+"""Number of equal reports of a status that are the motor's own: one may be a damaged frame."""
 
 
 class BusHealth:
@@ -27,7 +30,12 @@ class BusHealth:
     Attributes:
         silent: (n,) number of cycles in a row without a believed answer.
         unheard: (n,) the same without one that carries the believed position on, either.
-        total_missed: (n,) number of all commands without an answer.
+        commanded: (n,) number of all commands and requests.
+        total_missed: (n,) number of those without a believed answer.
+        late: (n,) number of answers that no command of their cycle awaited.
+        doubted: (n,) number of answers that were not believed.
+        reports: how often each of the n motors answered with each status code but ``ENABLED``,
+            believed or not.
         failed: (n,) whether the motor reported that it does not drive any more.
     """
 
@@ -41,12 +49,19 @@ class BusHealth:
         self.unheard = np.zeros(n_joints, int)
         self._counts = np.zeros((3, n_joints))
         self.failed = np.zeros(n_joints, bool)
+        self.commanded, self.late, self.doubted = np.zeros((3, n_joints), int)
+        self.reports: list[Counter[int]] = [Counter() for _ in joints]
+        # Status of each motor's last answer, number of answers in a row that have it, and number of
+        # answers in a row with any that is not ``ENABLED``, believed or not.
+        self._status = np.full(n_joints, ENABLED)
+        self._repeated, self._idle = np.zeros((2, n_joints), int)
 
     def update(self, replies: Replies) -> None:
         """Count missing, doubted and surplus answers, and foreign commands, of a cycle's replies.
 
         A motor that reports a fault is noted in ``failed``.
         """
+        self._count_reports(replies)
         unanswered = replies.requested & ~replies.answered
         counts = [self.silent + 1, self._doubted + replies.doubted]
         self.silent, self._doubted = np.where(replies.answered, 0, counts)
@@ -57,10 +72,32 @@ class BusHealth:
         self._counts = 0.95 * self._counts + events
         status = replies.feedback.status
         is_faulty = (status != ENABLED) & (status != NO_STATUS)
+        is_faulty |= self._confirmed
         # Where two motors answer on one id, the status may be the other motor's.
         is_double = is_faulty & (self._counts[1] > 1.0)
         self._counts[1] = np.where(is_double, np.inf, self._counts[1])
         self.failed |= is_faulty & ~is_double
+
+    def _count_reports(self, replies: Replies) -> None:
+        """Count the status codes of a cycle's answers, whether these are believed or not."""
+        self.commanded += replies.requested
+        self.late += replies.late
+        self.doubted += replies.doubted
+        reported = replies.reported
+        came = reported != NO_STATUS
+        is_idle = came & (reported != ENABLED)
+        for j in np.flatnonzero(is_idle).tolist():
+            self.reports[j][int(reported[j])] += 1
+        is_same = reported == self._status
+        repeated = np.where(is_same, self._repeated + 1, 1)
+        self._repeated = np.where(came, repeated, self._repeated)
+        self._idle = np.where(came, is_idle * (self._idle + 1), self._idle)
+        self._status = np.where(came, reported, self._status)
+
+    @property
+    def _confirmed(self) -> Mask:
+        """Whether the last answers of each motor (n,) all say that it does not drive."""
+        return (self._status != ENABLED) & (self._repeated >= CONFIRMED)
 
     def check(self, replies: Replies) -> None:
         """Raise HardwareAbort for the first fault of a cycle; call ``update`` before."""
@@ -73,6 +110,12 @@ class BusHealth:
         is_silent = self.silent >= 2 * settings.max_missed
         is_lost = lost > settings.max_missed - 0.5
         is_doubted = (is_silent | is_lost) & (self._doubted >= settings.max_missed)
+        # A motor that started again is silent, and says then that it is disabled, perhaps with
+        # another position: what it said is the reason for the silence.
+        says_why = (self._idle > 0) & (self._idle >= self._doubted)
+        is_idle = self._confirmed | ((is_silent | is_lost) & says_why)
+        is_idle |= replies.answered & (feedback.status != ENABLED)
+        is_off = self._status == DISABLED
         faults: tuple[tuple[Mask, str], ...] = (
             (
                 foreign > _FEW,
@@ -83,7 +126,11 @@ class BusHealth:
                 "answers more often than it is asked: a second motor has its id, or another "
                 "program commands it",
             ),
-            (replies.answered & (feedback.status != ENABLED), "reports {status}"),
+            (
+                is_idle & is_off,
+                "was switched off, or started again: it reports {status}",
+            ),
+            (is_idle & ~is_off, "reports {status}"),
             (
                 is_doubted,
                 "answered {doubted} times in a row what cannot be true: its line is disturbed, its "
@@ -104,7 +151,7 @@ class BusHealth:
         for mask, text in faults:
             for j in np.flatnonzero(mask).tolist():
                 description = text.format(
-                    status=status_text(feedback.status[j]),
+                    status=status_text(self._status[j]),
                     doubted=self._doubted[j],
                     silent=self.silent[j],
                     hot=hot[j],

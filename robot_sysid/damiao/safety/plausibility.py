@@ -52,6 +52,10 @@ class Replies:
             or two samples in a row say [rad]; 0 where there is none.
         surplus: (n,) number of answers beyond the one that was due.
         foreign: (n,) number of commands that another program sent to this joint's motor.
+        late: (n,) number of answers, since the last cycle, that no command of their cycle awaited:
+            late ones, or those of a second motor.
+        reported: (n,) status code in the answer that came, believed or not; ``NO_STATUS`` where
+            none came.
     """
 
     answered: Mask
@@ -64,6 +68,8 @@ class Replies:
     jump: Array
     surplus: Codes
     foreign: Codes
+    late: Codes
+    reported: Codes
 
 
 class _Samples(NamedTuple):

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rigs.damiao_rig import mit_command, state, undoubted
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.protocol import BusTiming
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
 from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.holding import HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.plausibility import NO_STATUS
@@ -108,6 +111,53 @@ def test_frames_too_many_are_named_unless_there_are_few(counts, words):
     ]
     assert words_of(cycles[:2]) is None
     assert words in words_of(cycles)
+
+
+def refused(k, code):
+    """Return a cycle in which the second joint's answer has a status code, and is not believed."""
+    command = mit_command(np.zeros(2), 0.0, KP, KD)
+    replies, _ = cycle(k, command, False, [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    both = np.array([True, True])
+    doubted = np.array([False, True])
+    return replace(
+        replies, requested=both, doubted=doubted, reported=np.array([ENABLED, code])
+    ), command
+
+
+@given(st.lists(st.sampled_from([ENABLED, DISABLED, 3, 0xA]), max_size=40))
+def test_a_status_that_an_answer_repeats_stops_the_run_and_each_one_is_counted(codes):
+    """Whether the answers are believed or not."""
+    watched = watch(max_missed=50)
+    pairs = [k for k in range(1, len(codes)) if codes[k] == codes[k - 1] != ENABLED]
+    first = min(pairs, default=None)
+    for k, code in enumerate(codes):
+        replies, command = refused(k, code) if code != ENABLED else [*stand(1)][0]
+        replies = replace(replies, reported=np.array([ENABLED, code]))
+        watched.health.update(replies)
+        if k != first:
+            watched.check(replies, command, followed(command))
+            continue
+        words = "was switched off, or started again" if code == DISABLED else "reports"
+        with pytest.raises(HardwareAbort, match=f"motor 2 {words}.*status {code:X}: "):
+            watched.check(replies, command, followed(command))
+        break
+    played = codes if first is None else codes[: first + 1]
+    faults = [code for code in played if code != ENABLED]
+    assert watched.health.reports == [{}, Counter(faults)]
+    assert watched.health.failed.tolist() == [False, first is not None]
+
+
+def test_what_a_motor_said_is_the_reason_why_it_is_silent():
+    """It was away for a while, and has said only once that it is disabled."""
+    away = [*stand(5, answered=False)]
+    assert "was switched off" in words_of([*away, refused(5, DISABLED)])
+    assert "reports status A" in words_of([*away, refused(5, 0xA)])
+    # One that was believed since then has another reason.
+    back = [*away[:4], refused(4, DISABLED), *stand(1), *stand(6, answered=False)]
+    assert "did not answer in time for 6 cycles" in words_of(back)
+    # So has one whose answers are damaged, of which one is damaged there.
+    noise = [refused(k, ENABLED) for k in range(5)]
+    assert "what cannot be true" in words_of([*noise, refused(5, 3)], max_missed=3)
 
 
 # --- position, speed and torque -------------------------------------------------------------------
