@@ -42,7 +42,7 @@ _OPENARM = ARMS["openarm"]
 _JOINT = _OPENARM.joint
 _MOTORS = " ".join(f"--motor-type {name}" for name in _OPENARM.motors)
 # The speed of a joint, or nothing where it stands.
-_DRIFT = re.compile(r"\S+ (?:stands|drifts at (\S+) deg/s).*: its gravity differs")
+_DRIFT = re.compile(r"^\S+ (?:stands|drifts at (\S+) deg/s)[^:]*: ", re.MULTILINE)
 
 
 def write_arm(path: Path, friction: float | None, wrong: float, seed: int) -> Path:

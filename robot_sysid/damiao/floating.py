@@ -22,7 +22,7 @@ from robot_sysid.damiao.references import Follower, Reference
 from robot_sysid.damiao.settings import TRACKING, Plan
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array, Motion, RobotModel
-from robot_sysid.records.messages import with_error
+from robot_sysid.records.messages import number_text, with_error
 
 SETTLING = 2.0
 """Time for which the arm is held until it stands still [s]."""
@@ -32,6 +32,7 @@ LAST = 0.5
 """Time at the end from which the drift is measured [s]."""
 AT_END = 0.02
 """Distance from an end of its range at which a joint is held by its stop, perhaps [rad]."""
+_NOT_SHOWN = "the test does not show its gravity"
 
 
 class Floating(Follower):
@@ -124,15 +125,19 @@ class Floating(Follower):
 class Drift(NamedTuple):
     """How a joint drifts, and what that says of its model's gravity.
 
+    Only a joint that moves shows its gravity, and only where the model states the friction that it
+    moves against. Friction holds one that stands with whatever error is smaller.
+
     Attributes:
         joint: its name.
         end_speed: velocity at the end [rad/s]; 0 where it stands.
         gravity: torque that holds it at the end, by the model [N m].
-        error: true minus modelled gravity, if the model's friction is right [N m]; where it
-            stands, what stiffness still adds.
-        doubt: what ``error`` may be off by [N m]: the model's friction at that speed, dry friction
-            where it stands, and half a step of the commanded torque; infinite where the model has
-            no friction, or a stop may hold the joint.
+        error: true minus modelled gravity, if the model's friction is right [N m]; NaN where it
+            stands.
+        doubt: what ``error`` may be off by, or where it stands how large an error does not show
+            [N m]: the model's friction at that speed, dry friction where it stands, and half a step
+            of the commanded torque; infinite where the model has no friction, or a stop may hold
+            the joint.
         is_at_end: whether it is at an end of its range, where a stop may hold it.
     """
 
@@ -150,11 +155,29 @@ class Drift(NamedTuple):
             motion = f"drifts at {np.degrees(abs(self.end_speed)):.2f} deg/s"
         if self.is_at_end:
             motion += " at an end of its range"
+        return f"{self.joint} {motion}: {self._finding}"
+
+    @property
+    def _finding(self) -> str:
+        """What the joint's motion says of its gravity."""
+        is_known = np.isfinite(self.doubt)
+        if self.is_at_end:
+            return f"a stop may hold it, {_NOT_SHOWN}"
+        if not self.end_speed:
+            hidden = f"friction holds it, {_NOT_SHOWN}"
+            if is_known:
+                size = number_text(self.doubt, self.doubt)
+                hidden += (
+                    f"; by the model's friction, errors below {size} N·m do not show"
+                )
+            return hidden
+        if not is_known:
+            return f"the model states no friction for it, {_NOT_SHOWN}"
         # Positive where it is heavier than the model; the model's may be zero.
         excess = np.copysign(1.0, self.gravity) * self.error
         return (
-            f"{self.joint} {motion}: its gravity differs from the model's "
-            f"{abs(self.gravity):.2g} N·m by {with_error(excess, self.doubt, 'N·m')}"
+            f"its gravity differs from the model's {abs(self.gravity):.2g} N·m by "
+            f"{with_error(excess, self.doubt, 'N·m')}"
         )
 
 
@@ -191,7 +214,7 @@ def measure_drift(
     columns = (
         velocity[0] + since[-1] * acceleration[0],
         gravity,
-        np.mean(signals[:, 2], axis=0) - needed,
+        np.where(moves, np.mean(signals[:, 2], axis=0) - needed, np.nan),
         np.where(is_known, friction + 0.5 * step, np.inf),
         is_at_end,
     )
