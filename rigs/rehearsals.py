@@ -73,7 +73,8 @@ def rehearse(arm: Arm, trajectory: Path, rate: float, folder: Path) -> list[Esti
     record = folder / f"measured_{rate:g}.csv"
     identified = folder / f"identified_{rate:g}"
     fd = "--fd" * (rate > FAST)
-    model = f"--model {arm.model} {arm.joint}"
+    # What is found is compared with the model, so that the arm is exactly that.
+    model = f"--model {arm.model} {arm.joint} --plant-model {arm.model}"
     run(f"motors simulate {trajectory} {model} --record {record} --rate {rate} {fd}")
     run(f"identify {arm.model} {record} {arm.joint} --output-dir {identified}")
     return list(estimates(json.loads((identified / "params.json").read_text())))

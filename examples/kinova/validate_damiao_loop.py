@@ -91,7 +91,8 @@ def exported_trajectory(model: Path, folder: Path, duration: float = DURATION) -
 
 def play_and_record(trajectory: Path, record: Path) -> None:
     """Play on the simulated arm, in simulated time, and print how that went."""
-    played = ("motors", "simulate", trajectory, "--model", TRUTH, "--record", record)
+    arm = ("--model", TRUTH, "--plant-model", TRUTH)
+    played = ("motors", "simulate", trajectory, *arm, "--record", record)
     for line in succeeding(*played).splitlines():
         if line.startswith(("played ", "largest distance ")):
             print(f"   {line}")

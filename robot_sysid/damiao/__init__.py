@@ -68,7 +68,7 @@ Say = Callable[[str], None]
 """Function that is called with one sentence about each event of a run."""
 
 
-@with_keywords(execution.RUN_OPTIONS)
+@with_keywords([*execution.RUN_OPTIONS, *execution.SIMULATED_OPTIONS])
 def play(
     trajectory: Path | str | PlanResult,
     *,
@@ -88,7 +88,8 @@ def play(
         model: MJCF or URDF file of the arm, with which the motors are compared; by default the
             model of the plan, if ``trajectory`` is a plan.
         joint_map: file that says how each joint's motor is mounted.
-        simulate: play on a simulated arm of the model instead, in simulated time.
+        simulate: play on a simulated arm instead, in simulated time. It is as far from the model as
+            arms usually are, or with ``plant_model`` exactly the arm of that file.
         say: called with a sentence for each thing that happens.
         options: those of ``robot-sysid motors play``, such as ``channel="can0"``, ``speed=0.3``,
             ``park="rest"`` or ``record="measured.csv"``.
@@ -103,6 +104,8 @@ def play(
         HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
             may still be enabled.
     """
+    if not simulate and options.get("plant_model") is not None:
+        raise InputError("plant_model is about a simulated arm; add simulate=True")
     with _trajectory_options(trajectory) as values:
         values.update(options, joint_map=joint_map)
         if model is not None:

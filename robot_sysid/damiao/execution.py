@@ -87,6 +87,12 @@ RUN_OPTIONS: list[Option] = [
     *LIMIT_OPTIONS,
 ]
 """Options of a run."""
+SIMULATED_OPTIONS: list[Option] = [
+    *options_of_all(SimulatedArmOptions, only=("plant_model",))
+]
+"""Options of the simulated arm of a run."""
+# Seed of the simulated arm, so that the same command writes the same recording.
+_USUAL_ARM = 0
 # What an inspection finds where there are no motors.
 _NOTHING = Inspection({}, 0, np.nan)
 
@@ -262,17 +268,26 @@ class MotorRun:
     def open_simulated(self, plan: Plan) -> Iterator[GuardedLink]:
         """Yield a link to a simulated arm that stands at the plan's first point.
 
-        It is the model's arm, or that of --plant-model. Its clock only advances when waited for.
-        InputError without a model, or where the two do not have the same joints.
+        It is the arm of --plant-model, exactly, or else one that is as far from the model as arms
+        usually are, always the same one for the same model and motors. Its clock only advances when
+        waited for. InputError without a model, or where the two do not have the same joints.
         """
         if self.robot is None:
             raise InputError(
                 f"a simulated arm needs a model; add {option_name('model')}"
             )
         from robot_sysid.simulation.plant import ArmStepper, load_plant
+        from robot_sysid.simulation.usual_arm import usual_arm
 
         plant = record_from(SimulatedArmOptions, self.values).plant_model
-        robot = self.robot if plant is None else load_plant(self.robot, plant)
+        if plant is None:
+            joints = plan.trajectory.joints
+            rated = np.array([joint.spec.rated_torque for joint in joints])
+            rng = np.random.default_rng(_USUAL_ARM)
+            robot = usual_arm(self.robot, rated, rng)
+        else:
+            mesh_dir = record_from(ModelOptions, self.values).mesh_dir
+            robot = load_plant(self.robot, plant, mesh_dir)
 
         # As docs/damiao.md recommends for real motors, and long enough for slow cycles, too.
         watchdog = max(0.1, 12.0 * plan.settings.period)

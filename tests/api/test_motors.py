@@ -42,6 +42,17 @@ def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
     assert tuple(capfd.readouterr()) == ("", "")
 
 
+def test_a_simulated_arm_is_the_models_where_that_is_named(trajectory, model, tmp_path):
+    """Without a plant it differs from the model, the same way each time."""
+    recordings = []
+    for number, plant in enumerate((None, None, model)):
+        record = tmp_path / f"{number}.csv"
+        options = {"model": model, "simulate": True, "record": record, "rate": 50}
+        rs.motors.play(trajectory, plant_model=plant, **options)
+        recordings.append(record.read_bytes())
+    assert recordings[0] == recordings[1] != recordings[2]
+
+
 def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path, monkeypatch):
     # What an estimate will know is slow to tell.
     monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, ()))
@@ -64,6 +75,7 @@ REFUSED = {
     "unknown option 'below_base'": {"below_base": True},
     'this command needs channel, for instance channel="can0"': {},
     "a simulated arm needs a model; add model": {"simulate": True},
+    "plant_model is about a simulated arm": {"plant_model": "truth.xml"},
     "a model is the path of an MJCF or URDF file, or a mujoco.MjSpec": {"model": 5},
 }
 

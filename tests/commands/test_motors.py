@@ -305,10 +305,16 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     )
     # The check that is printed records nothing.
     assert "Next, with the arm connected, check" in out and "--overwrite" not in out
-    assert "--accept computed\n" in out
+    assert "friction of which the model knows nothing" in out
+    assert "identify" in out and "--accept computed" not in out
     recording = read_recording(record)
     assert recording.ending == "completed"
     assert np.all(np.isfinite(recording.joint_values("pos")))
+    first = record.read_bytes()
+    # An arm that is exactly the model's, which has no friction.
+    out = succeed(capsys, "simulate", trajectory, *arguments, "--plant-model", model)
+    assert "--accept computed\n" in out and "knows nothing" not in out
+    assert record.read_bytes() != first
     out = succeed(capsys, "simulate", trajectory, *arguments, "--speed 0.9")
     assert "Next, with the arm connected, check" in out and "identify" not in out
 

@@ -30,7 +30,8 @@ def play(command, folder, code=0):
     """Play a folder's trajectory on the true arm, simulated, and return what was printed."""
     log = ("--record", folder / "log.csv")
     file = folder / "damiao_trajectory.csv"
-    return command.run("motors simulate", file, "--model", TRUTH, *log, code=code)
+    arm = ("--model", TRUTH, "--plant-model", TRUTH)
+    return command.run("motors simulate", file, *arm, *log, code=code)
 
 
 def identify(command, folder, model):

@@ -29,7 +29,7 @@ from robot_sysid.commands.motors.setup import (
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.preflight import stops
-from robot_sysid.damiao.execution import LIMIT_OPTIONS, ArmFiles
+from robot_sysid.damiao.execution import LIMIT_OPTIONS, SIMULATED_OPTIONS, ArmFiles
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
     HOLD_SETTINGS,
@@ -40,7 +40,6 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.errors import EXIT_CODES, InputError, SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.records.option_fields import Option, options_of_all
-from robot_sysid.simulation import SimulatedArmOptions
 
 
 def check(session: Session) -> int:
@@ -134,8 +133,8 @@ _CHECKED = {
 }
 _RECORDED = {**_CHECKED, "recording": options_of_all(RecordingOptions)}
 _ASKING = {"asking": options_of_all(PlayChoices)}
-# Model of a simulated arm that is not as its user's model says.
-_PLANT = {"simulated arm": options_of_all(SimulatedArmOptions, only=("plant_model",))}
+# What a simulated arm is, where it is not the usual one.
+_PLANT = {"simulated arm": SIMULATED_OPTIONS}
 
 
 def _command(

@@ -30,6 +30,7 @@ from robot_sysid.records.option_fields import (
     option,
     record_from,
 )
+from robot_sysid.simulation import SimulatedArmOptions
 
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
@@ -45,6 +46,10 @@ def ask(prompt: str) -> str:
     raise InputError("not confirmed: standard input has ended")
 
 
+_USUAL_ARM = (
+    "The simulated arm has links and rotors that differ from the model's as they usually do, and "
+    "friction of which the model knows nothing; --plant-model FILE is exactly the arm of a file"
+)
 _WARNING = (
     "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
     "sinks when it is disabled. Type yes: "
@@ -76,6 +81,11 @@ class Session(MotorRun):
         self.console = console
         self.verdict: tuple[str, ...] = ()
         self.step: NextStep | None = None
+
+    @property
+    def simulates_usual_arm(self) -> bool:
+        """Whether a simulated arm is the usual one, and not that of another model."""
+        return record_from(SimulatedArmOptions, self.values).plant_model is None
 
     def conclude(self, verdict: str, *steps: NextStep) -> None:
         """Set the verdict: a line, and what to do next, one step after the other."""
@@ -256,6 +266,8 @@ def run_checked(
         InputError: the user does not confirm, or the recording cannot be written.
     """
     console = session.console
+    if not is_real and session.simulates_usual_arm:
+        console.stage(_USUAL_ARM)
     require_playable(findings(session, plan, inspection, is_real))
     if is_real and not record_from(PlayChoices, session.values).yes:
         if not sys.stdin.isatty():
@@ -310,8 +322,8 @@ def play_step(session: Session, plan: Plan) -> NextStep:
 def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextStep]:
     """Return the steps after a trajectory was played: identify from the recording, or play again.
 
-    Behind a simulated arm real motors are checked. Its torque is computed, which ``identify`` has
-    to accept where the arm has no friction.
+    Behind a simulated arm real motors are checked. That of another model may have no friction: its
+    torque then looks computed, which ``identify`` has to accept.
     """
     folder = plan.trajectory.path.parent
     planned = plan_settings(folder)
@@ -340,5 +352,7 @@ def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextSt
     purpose = purpose.replace("payload", "")
     identify = step_with_motion("motion recorded", purpose, values, results, log)
     sentence = "Next, identify the simulated arm from it, to see what the motion tells"
-    words = *identify.command, "--accept", "computed"
+    words = identify.command
+    if not session.simulates_usual_arm:
+        words = *words, "--accept", "computed"
     return [NextStep(sentence, words), check]
