@@ -210,10 +210,13 @@ class Player:
                 self._run_phases(activity)
             except BaseException as error:
                 self._stop_gently()
-                if isinstance(error, HardwareAbort):
+                since = self._watch.health.reason_of_silence()
+                if isinstance(error, HardwareAbort) and not since:
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
-                raise HardwareAbort(reason) from error
+                if isinstance(error, HardwareAbort):
+                    reason = str(error)
+                raise HardwareAbort(reason + since) from error
         assert self.report is not None
         return self.report
 

@@ -372,6 +372,7 @@ FAULTS = {
         0.1,
     ),
     "reports a fault": (fault(0, status=0xA), 3, "motor 1 .* reports status A", np.inf),
+    "says so and drives on": (fault(0, false_status=3), 1, "", 0.1),
     "reported angle jumps": (fault(0, shift=0.3), 3, "motor 1 .* jumped by", 0.1),
     "encoder jumps": (fault(0, encoder_error=0.3), 3, "motor 1 .* jumped by", 0.1),
     "encoder freezes": (fault(0, frozen_encoder=_angle), 0, "", 0.3),

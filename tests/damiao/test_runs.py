@@ -503,6 +503,14 @@ def test_a_motor_that_starts_again_is_not_taken_for_a_cable(rig, seconds, shift)
     assert run.error.report.reports[1][DISABLED] >= 1
 
 
+def test_a_motor_that_starts_again_more_slowly_is_named_after_the_stop(rig):
+    run = rig(**USUAL)
+    run.during("playing", 0.25, restarted(1, 0.05, to_zero)).run(settle=0.0)
+    silent, since = str(run.error).split("; it has answered since then: ")
+    assert silent == "motor 2 did not answer in time for 6 cycles"
+    assert since.startswith("motor 2 was switched off, or started again: it reports st")
+
+
 def test_a_motor_that_only_says_that_it_does_not_drive_goes_on_holding_its_joint(
     rig, monkeypatch
 ):

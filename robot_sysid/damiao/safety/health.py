@@ -18,6 +18,8 @@ from robot_sysid.errors import HardwareAbort
 _FEW = 2.5
 CONFIRMED = 2
 """Number of equal reports of a status that are the motor's own: one may be a damaged frame."""
+# What is said of a motor that reports that it is disabled.
+_STARTED_AGAIN = "was switched off, or started again"
 
 
 class BusHealth:
@@ -55,6 +57,8 @@ class BusHealth:
         # answers in a row with any that is not ``ENABLED``, believed or not.
         self._status = np.full(n_joints, ENABLED)
         self._repeated, self._idle = np.zeros((2, n_joints), int)
+        # Whether the last check found the motor silent, without a reason.
+        self._fell_silent = np.zeros(n_joints, bool)
 
     def update(self, replies: Replies) -> None:
         """Count missing, doubted and surplus answers, and foreign commands, of a cycle's replies.
@@ -116,6 +120,7 @@ class BusHealth:
         is_idle = self._confirmed | ((is_silent | is_lost) & says_why)
         is_idle |= replies.answered & (feedback.status != ENABLED)
         is_off = self._status == DISABLED
+        self._fell_silent = (is_silent | is_lost) & ~is_idle
         faults: tuple[tuple[Mask, str], ...] = (
             (
                 foreign > _FEW,
@@ -126,10 +131,7 @@ class BusHealth:
                 "answers more often than it is asked: a second motor has its id, or another "
                 "program commands it",
             ),
-            (
-                is_idle & is_off,
-                "was switched off, or started again: it reports {status}",
-            ),
+            (is_idle & is_off, f"{_STARTED_AGAIN}: it reports {{status}}"),
             (is_idle & ~is_off, "reports {status}"),
             (
                 is_doubted,
@@ -159,3 +161,16 @@ class BusHealth:
                     jump=abs(replies.jump[j]),
                 )
                 raise HardwareAbort(f"{self._joints[j].label} {description}")
+
+    def reason_of_silence(self) -> str:
+        """Return what the first motor that had fallen silent in the last check has said since.
+
+        It is the end of a message, and empty where no such motor reports that it does not drive. A
+        motor takes longer to start again than the run waits for its answers.
+        """
+        for j in np.flatnonzero(self._fell_silent & self._confirmed).tolist():
+            reports = f"reports {status_text(self._status[j])}"
+            if self._status[j] == DISABLED:
+                reports = f"{_STARTED_AGAIN}: it {reports}"
+            return f"; it has answered since then: {self._joints[j].label} {reports}"
+        return ""
