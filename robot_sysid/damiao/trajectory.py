@@ -63,6 +63,7 @@ class DamiaoTrajectory:
             then they are a usual share of it.
         foreign_weight: file beside the trajectory that is not its weight, but that of another one;
             nothing of it is used. None where there is none.
+        first_line: number of the file's line that holds the first row; None where it is not known.
     """
 
     path: Path
@@ -75,11 +76,19 @@ class DamiaoTrajectory:
     inertia: Array | None = None
     weight_error: Array | None = None
     foreign_weight: Path | None = None
+    first_line: int | None = None
 
     @property
     def n_joints(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    def place(self, row: int) -> str:
+        """Return where a row stands in words, such as "line 812 (0.804 s)"."""
+        moment = f"{self.time[row]:.3f} s"
+        if self.first_line is None:
+            return moment
+        return f"line {self.first_line + row} ({moment})"
 
     def _rows_at(self, time: Array) -> NDArray[np.int64]:
         """Return the index (K,) of the row before each of some times (K,), or one time [s]."""
@@ -262,6 +271,8 @@ def _read_trajectory(path: Path) -> DamiaoTrajectory:
     time = table[:, 0]
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}: time does not increase after {time[row]:g} s")
+    # Blank lines and comments between rows hold none.
+    is_dense = len(lines) == title_number + len(time)
     return DamiaoTrajectory(
         path,
         joints,
@@ -269,6 +280,7 @@ def _read_trajectory(path: Path) -> DamiaoTrajectory:
         q=table[:, 1::3],
         qd=table[:, 2::3],
         tau=table[:, 3::3],
+        first_line=title_number + 1 if is_dense else None,
     )
 
 

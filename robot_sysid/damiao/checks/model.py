@@ -12,13 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.damiao.checks.preflight import (
-    SMALLER,
-    StatedLimits,
-    limit_checks,
-    note,
-    stop,
-)
+from robot_sysid.damiao.checks.findings import note, stop
+from robot_sysid.damiao.checks.motion import torque_bursts
+from robot_sysid.damiao.checks.preflight import SMALLER, StatedLimits, limit_checks
 from robot_sysid.damiao.joints import peak_torques
 from robot_sysid.damiao.safety.holding import torque_doubt, weight_errors
 from robot_sysid.damiao.settings import Plan
@@ -38,6 +34,13 @@ _WEIGH_FIRST = "weigh the arm with a smaller motion first (see {for_=weight} of 
 
 ERROR_ROWS = 1000
 """Number of rows in which the errors of the weight are computed: ten a second of a long motion."""
+COMMON_FACTOR = 1.5
+"""Factor between the torques of a file and those of a model, the same at all loaded joints, from
+which on the torques are wrong: gear ratios, torque constants and units make such factors, and no
+load does. Masses of models are 20 % off as a rule, 40 % at most."""
+BURST_SHARE_BY_MODEL = 0.25
+"""Share of a motor's peak torque by which a torque may be away from the model's, beyond what the
+rows around it are: less than without a model, whose torque is right but for load and friction."""
 USUAL_DIFFERENCE = EXPECTED_SCALES[0] * LINK / 100.0
 """Share of a joint's torque by which the file of one model usually differs from another model of
 the arm: that by which a link's mass is expected to be off, 20 %."""
@@ -127,6 +130,24 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     # Over the needed torque the error is 1 without any torque, 2 with the other sign, and 0.5 where
     # a new load doubles the torque of a joint: 0.8 is a judgement between.
     is_foreign = (error > doubt) & (error > 0.8 * needed_rms)
+    factor = common_torque_factor(trajectory.tau, at_full_speed, doubt)
+    if factor is not None:
+        yield stop(
+            f"the torque that the file feeds forward is {factor:.2g} times that of "
+            f"{robot.path.name} at all loaded joints: a unit, a gear ratio or a torque constant; "
+            f"export the file again for this arm, or {weigh_first}"
+        )
+        return
+    bounds = BURST_SHARE_BY_MODEL * peak_torques(joints) + robot.friction.largest_dry
+    bursts = torque_bursts(trajectory, trajectory.tau - at_full_speed, bounds)
+    for burst in bursts:
+        by_model = at_full_speed[burst.row, burst.joint]
+        yield stop(
+            f"{joints[burst.joint].label}: the torque in the file is "
+            f"{by_model + burst.torque:.3g} N·m at {trajectory.place(burst.row)}, where "
+            f"{robot.path.name} needs {by_model:.3g} and the rows around it are "
+            f"{by_model + burst.smooth:.3g}; export the file again"
+        )
     for j in np.flatnonzero(is_foreign):
         yield stop(
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "
@@ -142,3 +163,32 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
             f"the file, which differs by {error[j]:.1f} N·m of {needed_rms[j]:.1f} (rms); if the "
             "file is right, give the model that it was made with"
         )
+
+
+def common_torque_factor(file: Array, needed: Array, doubt: Array) -> float | None:
+    """Return the factor by which torques are those of a model at all loaded joints, if too large.
+
+    None where it is within ``COMMON_FACTOR``, where joints have different ones, as a load makes
+    them, where fewer than two joints are loaded, or where a factor does not explain the difference.
+
+    Args:
+        file: torques (N, n) of the file [N m].
+        needed: torques (N, n) of the same motion by the model [N m].
+        doubt: torque (n,) that friction alone may explain [N m].
+    """
+    size = np.sqrt(np.mean(needed**2, axis=0))
+    is_loaded = size > doubt
+    if np.sum(is_loaded) < 2:
+        return None
+    file = file[:, is_loaded]
+    needed = needed[:, is_loaded]
+    size = size[is_loaded]
+    factors = np.sum(file * needed, axis=0) / np.sum(needed**2, axis=0)
+    factor = float(np.median(factors))
+    if factor <= 0.0 or 1.0 / COMMON_FACTOR <= factor <= COMMON_FACTOR:
+        return None
+    left = np.sqrt(np.mean((file - factor * needed) ** 2, axis=0))
+    # What is left is friction, and how far models of one arm usually differ.
+    usual = USUAL_DIFFERENCE * factor * size + doubt[is_loaded]
+    is_common = np.all(np.abs(factors / factor - 1.0) < USUAL_DIFFERENCE)
+    return factor if is_common and np.all(left < usual) else None

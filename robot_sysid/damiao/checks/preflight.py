@@ -6,13 +6,14 @@ Each is a finding that stops the run, or that the user should know.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
+from robot_sysid.damiao.checks.findings import note, stop
+from robot_sysid.damiao.checks.motion import motion_checks
 from robot_sysid.damiao.joints import (
     RPM,
     DamiaoJoint,
@@ -31,10 +32,6 @@ from robot_sysid.records import LIMITED, Limits
 from robot_sysid.records.messages import Level, Remark
 from robot_sysid.wording import option_name
 
-note = partial(Remark, Level.SAYS, "")
-"""Return a finding, by its text, that the user should know."""
-stop = partial(Remark, Level.REFUSES, "")
-"""Return a finding, by its text with the remedy, that forbids to play."""
 SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
 """Remedy for a trajectory that leaves an arm's limits, or touches something."""
 
@@ -125,8 +122,8 @@ def limit_checks(
 def plan_checks(plan: Plan) -> Iterator[Remark]:
     """Yield the checks of a plan that need no bus.
 
-    They compare ids, speed at the ends, bus load, and the motion with the limits of the motors, the
-    model's joints and the user.
+    They compare ids, speed at the ends, the signals of the file with one another, bus load, and the
+    motion with the limits of the motors, the model's joints and the user.
     """
     trajectory = plan.trajectory
     joints = trajectory.joints
@@ -140,6 +137,7 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
             f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
             "rest"
         )
+    yield from motion_checks(trajectory)
     timing = plan.timing
     limit = protocol.PLANNING_LIMIT
     load = protocol.bus_load(len(joints), 1.0 / settings.period, timing)
