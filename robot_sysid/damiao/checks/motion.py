@@ -110,6 +110,10 @@ def motion_checks(trajectory: DamiaoTrajectory) -> Iterator[Remark]:
                 f"{change:.3g} rad/s in one row, at {trajectory.place(row)}: a step that does not "
                 "follow from the rows around it; plan a smooth motion, or export the file again"
             )
+            named.add(joint)
+    if named:
+        # Without the motion's own signals nothing tells what torque it needs.
+        return
     bounds = BURST_SHARE * peak_torques(trajectory.joints)
     for burst in torque_bursts(trajectory, trajectory.tau, bounds):
         yield stop(
@@ -342,9 +346,9 @@ def torque_bursts(
     """Yield for each joint where its torque is farthest from the smooth one, if beyond its bound.
 
     In windows of three seconds a torque is a sum of what it depends on: pose and acceleration of
-    all joints, speed and its sign (dry friction turns at turns) of its own. The coefficients are those
-    of the least sum of absolute errors: a burst of a tenth of a window does not move them, which
-    least squares would.
+    all joints, speed and its sign (dry friction turns at turns) of its own. The coefficients are
+    those of the least sum of absolute errors: a burst of a tenth of a window does not move them,
+    which least squares would.
 
     Args:
         trajectory: motion of n joints, N rows.
@@ -371,8 +375,10 @@ def torque_bursts(
             if smooth is None:
                 beyond[rows, joint] = 0.0
                 continue
-            # Dry friction and accelerations step between two rows, and not on one.
-            nearby = sliding_window_view(np.pad(smooth, 2, mode="edge"), 5)
+            # Dry friction and accelerations step at once, and the smooth speed takes its time.
+            width = _window_rows(time, SLOPE_TIMES[0], 1) + 1
+            padded = np.pad(smooth, width, mode="edge")
+            nearby = sliding_window_view(padded, 2 * width + 1)
             explained = np.clip(torque, nearby.min(axis=1), nearby.max(axis=1))
             far = np.abs(torque - explained) - bounds[joint]
             is_better = far < beyond[rows, joint]
@@ -392,9 +398,19 @@ def _smooth_torque(
     Where the window has few rows, other joints are left out; None where it has too few.
     """
     q = trajectory.q[rows]
-    qd = trajectory.qd[rows]
-    qdd = trajectory.qdd[rows]
     time = trajectory.time[rows, None]
+    # Velocities of differences are rounded to 0.1 rad/s at 1000 Hz: means over 0.02 s are not.
+    width = _window_rows(trajectory.time, SLOPE_TIMES[0], 1)
+    if width > 1:
+        from scipy.ndimage import uniform_filter1d
+
+        qd = uniform_filter1d(trajectory.qd[rows], width, axis=0, mode="nearest")
+        qdd = uniform_filter1d(
+            np.gradient(qd, time[:, 0], axis=0), width, axis=0, mode="nearest"
+        )
+    else:
+        qd = trajectory.qd[rows]
+        qdd = trajectory.qdd[rows]
     own = slice(joint, joint + 1)
     common = [np.ones_like(time), time, qd[:, own], np.sign(qd[:, own])]
     columns = np.hstack([*common, q, qdd])
