@@ -147,7 +147,7 @@ def test_what_is_fed_is_held_against_limits(tmp_path):
     assert len(remarks) == 2 and "torque 90 N·m is beyond" in remarks[0].text
 
 
-@pytest.mark.parametrize(("share", "is_said"), [(1.1, False), (1.4, True), (0.7, True)])
+@pytest.mark.parametrize(("share", "is_said"), [(1.1, False), (1.4, True), (0.6, True)])
 def test_a_file_of_another_model_is_said_but_played(share, is_said):
     robot = arms.robot_of(arms.serial_arm((arms.Y, arms.Y)))
     time, q, qd, _ = MOTION

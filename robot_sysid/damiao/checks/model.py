@@ -185,7 +185,8 @@ def common_torque_factor(file: Array, needed: Array, doubt: Array) -> float | No
     size = size[is_loaded]
     factors = np.sum(file * needed, axis=0) / np.sum(needed**2, axis=0)
     factor = float(np.median(factors))
-    if factor <= 0.0 or 1.0 / COMMON_FACTOR <= factor <= COMMON_FACTOR:
+    # To two decimals: those of the file are rounded.
+    if round(factor, 2) <= COMMON_FACTOR:
         return None
     left = np.sqrt(np.mean((file - factor * needed) ** 2, axis=0))
     # What is left is friction, and how far models of one arm usually differ.

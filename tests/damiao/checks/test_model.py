@@ -130,7 +130,7 @@ def refusals(arm, motion, **settings):
     return [check.text for check in findings if check.level != Level.SAYS]
 
 
-@given(seed=arms.SEEDS, speed=SPEEDS, factor=st.floats(0.68, 1.48))
+@given(seed=arms.SEEDS, speed=SPEEDS, factor=st.floats(0.5, 1.5))
 def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
     arm, seed, speed, factor
 ):
@@ -152,7 +152,7 @@ def test_a_factor_of_all_loaded_joints_is_found_beyond_a_half(factor):
     needed = np.sin(np.arange(200)[:, None] * [0.02, 0.03, 0.05]) * [20.0, 8.0, 0.1]
     file = factor * needed * [1.1, 0.9, 3.0]
     found = common_torque_factor(file, needed, np.ones(3))
-    assert found == (None if 0.67 < factor < 1.5 else pytest.approx(factor, rel=0.01))
+    assert found == (None if factor <= 1.5 else pytest.approx(factor, rel=0.01))
 
 
 def test_a_load_that_doubles_the_torque_of_one_joint_is_no_common_factor(arm):
