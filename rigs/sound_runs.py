@@ -1,0 +1,475 @@
+"""Planned motions that are played on arms which are not as their models say, and what comes of it.
+
+A motion is planned and exported by the command ``plan``, and played by the command ``motors play``,
+but for the bus, which is the rig's own, and for the model, which is loaded once. A run with a fault
+is compared with a twin: the same run without the fault, in simulated time, so that both are alike to
+the last bit until the fault begins.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from rigs.own_motors import OwnMotor
+from rigs.places import GUESS, MODELS
+from rigs.sound_arms import STEP, Arm, Plant, bus_of, make_sound, sound_plant
+from rigs.walk import run_here
+from rigs.worn_arms import motor_types
+from rigs.wrong_arms import typical_torque
+from robot_sysid.commands.motors import play
+from robot_sysid.commands.motors.session import Session
+from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.errors import SysidError
+from robot_sysid.motion.trajectories import load_trajectory
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records.messages import Progress
+
+FASTEST_CLASSIC = 250.0
+"""Highest rate at which seven motors fit onto a classic CAN bus [Hz]."""
+WATCHDOG_CYCLES = 12.0
+WATCHDOG = 0.1
+"""Least time of the motors' watchdogs [s]; slow cycles need so many of their own."""
+AFTERWARDS = 0.5
+"""How long an arm is watched after the run [s]."""
+WINDOW_BEFORE = 0.1
+WINDOW_AFTER = 0.5
+"""Which part of the twin's path a joint may be on in a stop: around the moment it began [s]."""
+SAMPLE_RATE = 250.0
+"""Rate at which a motion's torque is looked at, to choose motors [Hz]."""
+COMPLETED = "completed"
+STOPPED = "stopped"
+REFUSED = "refused"
+PLAYING = "playing"
+STOPPING = "stopping"
+
+
+@dataclass(frozen=True)
+class PublicArm:
+    """A model, its terminal joint if the model has several, and its motors.
+
+    Attributes:
+        model: its file.
+        joint: its terminal joint; "" where it has one only.
+        motors: types of its motors, base first; by default the weakest that are strong enough.
+        wrist: type of the motors of its last three joints, whatever they need.
+        wrist_damping: of the model's motors DM4310 in place of the file's [N m s/rad].
+    """
+
+    model: Path
+    joint: str = ""
+    motors: tuple[str, ...] = ()
+    wrist: str = ""
+    wrist_damping: float | None = None
+
+    @property
+    def is_at_hand(self):
+        """Whether the model's file is there."""
+        return self.model.exists()
+
+
+_KINOVA_MOTORS = (
+    "DM8009",
+    "DM10010L",
+    "DM8009",
+    "DM8009",
+    "DM4340",
+    "DM4340",
+    "DM4340",
+)
+_OPENARM_MOTORS = ("DM8009",) * 2 + ("DM4340",) * 2 + ("DM4310",) * 2 + ("DM3507",)
+_OPENARM = PublicArm(
+    MODELS / "openarm_v2" / "openarm_bimanual.xml",
+    "openarm_left_joint7",
+    _OPENARM_MOTORS,
+)
+_IIWA = PublicArm(MODELS / "kuka_iiwa_14" / "iiwa14.xml")
+_FR3 = PublicArm(MODELS / "franka_fr3" / "FrankaFR3_7DoF.urdf")
+SOUND_ARMS = {
+    "kinova": PublicArm(GUESS, motors=_KINOVA_MOTORS),
+    "openarm": _OPENARM,
+    "openarm_light": replace(_OPENARM, wrist_damping=0.05),
+    "ur5e": PublicArm(MODELS / "universal_robots_ur5e" / "ur5e.xml"),
+    "iiwa14": _IIWA,
+    "iiwa14_4310": replace(_IIWA, wrist="DM4310"),
+    "fr3": _FR3,
+    "fr3_4310": replace(_FR3, wrist="DM4310"),
+    "xarm7": PublicArm(MODELS / "ufactory_xarm7" / "xarm7_nohand.xml"),
+}
+"""Arms on Damiao motors, none of whose runs may be stopped while they are sound."""
+
+
+@dataclass(frozen=True)
+class PlannedMotion:
+    """What ``plan --export-damiao`` has written for an arm.
+
+    Attributes:
+        arm: what it was planned for.
+        model: the model's file, which may be a changed copy of the arm's.
+        path: the exported trajectory.
+        robot: the model as the player has it.
+        motors: types of the motors, base first.
+        typical: torque (n,) that joints need in it [N m].
+        start: positions (n,) at its beginning [rad].
+    """
+
+    arm: PublicArm
+    model: Path
+    path: Path
+    robot: object
+    motors: tuple[str, ...]
+    typical: np.ndarray
+    start: np.ndarray
+
+    @property
+    def joint_option(self):
+        """The option that names the terminal joint, as a value of options."""
+        return {"joint": self.arm.joint} if self.arm.joint else {}
+
+
+@cache
+def planned_motion(name, folder, duration=6.0, seed=0):
+    """Return the motion of an arm, which is planned into a folder unless it is there already."""
+    arm = SOUND_ARMS[name]
+    target = Path(folder) / f"{name}_{duration:g}_{seed}"
+    target.mkdir(exist_ok=True)
+    model = _model_file(arm, target)
+    joint = f"--joint {arm.joint}" if arm.joint else ""
+    exported = target / "damiao_trajectory.csv"
+    coefficients = target / "plan.json"
+    if not coefficients.exists():
+        _command(
+            f"plan {model} {joint} --for arm --excitation sines --duration {duration:g} "
+            f"--seed {seed} --output-dir {target} --save-trajectory {coefficients}"
+        )
+    robot = load_robot_model(model, max_velocity=math.inf, joint=arm.joint or None)
+    plan = load_trajectory(coefficients).plan
+    time = np.arange(round(plan.duration * SAMPLE_RATE) + 1) / SAMPLE_RATE
+    motion = plan.evaluate(time)
+    dynamics = ArmDynamics(robot)
+    types = arm.motors
+    if not types:
+        fastest = np.abs(motion.qd).max(axis=0)
+        types = tuple(motor_types(np.asarray(dynamics(motion)), fastest))
+    if arm.wrist:
+        types = (*types[:-3], *(arm.wrist,) * 3)
+    if not exported.exists():
+        motors = " ".join(f"--motor-type {motor}" for motor in types)
+        _command(
+            f"plan {model} {joint} --for arm --trajectory {coefficients} {motors} "
+            f"--export-damiao --output-dir {target}"
+        )
+    weight, inertia = dynamics.weight_and_inertia(motion)
+    typical = typical_torque(weight + inertia)
+    return PlannedMotion(arm, model, exported, robot, types, typical, motion.q[0])
+
+
+def _command(line):
+    code, output = run_here(f"robot-sysid {line}")
+    if code not in (0, 1):
+        raise SystemExit(f"{line}\n{output}")
+
+
+def _model_file(arm, folder):
+    """Return the arm's model file, or a copy of it with another damping of the wrist's motors."""
+    if arm.wrist_damping is None:
+        return arm.model
+    text = arm.model.read_text(encoding="utf-8")
+    text = text.replace('meshdir="assets"', f'meshdir="{arm.model.parent / "assets"}"')
+    stated = 'frictionloss="0.04" damping="0.9" armature="0.0100"'
+    assert stated in text
+    path = folder / arm.model.name
+    path.write_text(
+        text.replace(stated, stated.replace("0.9", f"{arm.wrist_damping:g}")),
+        encoding="utf-8",
+    )
+    return path
+
+
+@dataclass(frozen=True)
+class ArmFault:
+    """Something that goes wrong with an arm.
+
+    Attributes:
+        name: in tables.
+        act: is called with the arm when it happens.
+        after: when, after the motion has begun [s]; None: it is so from the very beginning.
+        joint: the joint at fault; None where it is no single one.
+        carried: mass at the terminal link from the beginning, in the twin's run, too [kg].
+    """
+
+    name: str
+    act: Callable[[Arm], object]
+    after: float | None = 1.5
+    joint: int | None = None
+    carried: float = 0.0
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a motion is played on an arm.
+
+    Attributes:
+        arm: name of one of ``SOUND_ARMS``.
+        seed: draws what is wrong with the arm; None: nothing, and the model's own friction.
+        speed, rate, kp: as the options of ``motors play``; None for the command's default.
+        has_model: whether the player has the model.
+        duration: of the planned motion at full speed [s].
+    """
+
+    arm: str
+    seed: int | None = 0
+    speed: float = 1.0
+    rate: float | None = None
+    kp: float | None = None
+    has_model: bool = True
+    duration: float = 6.0
+
+    @property
+    def is_fd(self):
+        """Whether it needs CAN-FD."""
+        return (self.rate or 0.0) > FASTEST_CLASSIC
+
+
+class Listener(Progress):
+    """A console that keeps what is printed, and notes when phases begin.
+
+    Attributes:
+        lines: all that was printed.
+        begun: when a phase began, by its name [s].
+    """
+
+    json = False
+
+    def __init__(self, clock):
+        self._clock = clock
+        self.lines = []
+        self.begun = {}
+        self.on_playing = []
+
+    def stage(self, *messages):
+        for message in messages:
+            self.lines.append(str(message))
+            phase = str(message).split(" ")[0]
+            if phase in (PLAYING, STOPPING):
+                self.begun.setdefault(phase, self._clock.now())
+            if phase == PLAYING:
+                for function in self.on_playing:
+                    function(self._clock.now())
+                self.on_playing = []
+
+    def advance(self, label, done, total, text):
+        """Show no progress."""
+
+    def close(self):
+        """There is no progress bar to be closed."""
+
+
+class OwnSession(Session):
+    """A run of ``motors play`` on the rig's own bus, with a model that is loaded once."""
+
+    def __init__(self, values, console, bus, robot):
+        super().__init__(values, console)
+        self.clock = bus.clock
+        self._bus = bus
+        self._loaded = robot
+
+    @property
+    def robot(self):
+        return self._loaded if self.values.get("model") else None
+
+    @property
+    def _problem(self):
+        return _problem_of(self._loaded, self._limits)
+
+    @contextlib.contextmanager
+    def open_guarded(self, *refuses):
+        yield GuardedLink(self._bus, self.clock, self.timing.fd, *refuses)
+
+
+@cache
+def _geometry(robot_id, limits):
+    from robot_sysid.motion.problem import build_problem
+
+    return build_problem(_ROBOTS[robot_id], limits)
+
+
+# By identity, as a robot's arrays cannot be hashed.
+_ROBOTS = {}
+
+
+def _problem_of(robot, limits):
+    _ROBOTS[id(robot)] = robot
+    return _geometry(id(robot), limits)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What an arm did.
+
+    Attributes:
+        exit: ``COMPLETED``, ``STOPPED`` or ``REFUSED``.
+        code: exit code of the command.
+        message: of the error, or the verdict.
+        lines: all that was printed.
+        path: true positions (steps, n) every ``STEP`` from the beginning [rad].
+        begun_at: when the motion began [s]; NaN where it did not.
+        fault_at: when the fault happened [s]; NaN where it did not.
+        stop_at: when a stop began [s]; infinite without one.
+        off_at: when no motor made torque any more [s].
+    """
+
+    exit: str
+    code: int
+    message: str
+    lines: list[str]
+    path: np.ndarray
+    begun_at: float
+    fault_at: float
+    stop_at: float
+    off_at: float
+
+
+def run_arm(options, folder, fault=None):
+    """Play a planned motion on an arm, with a fault or without; return the run."""
+    planned = planned_motion(options.arm, folder, options.duration)
+    motors = [
+        OwnMotor(
+            joint.can_id,
+            joint.master_id,
+            joint.spec.limits,
+            joint.spec.peak_torque,
+            watchdog=max(WATCHDOG, WATCHDOG_CYCLES / (options.rate or SAMPLE_RATE)),
+        )
+        for joint in damiao_joints(planned.motors, len(planned.motors))
+    ]
+    plant = _plant(planned, options)
+    if options.seed is not None:
+        make_sound(motors, options.seed)
+    arm = Arm(plant, motors)
+    bus = bus_of(arm, options.is_fd)
+    console = Listener(bus.clock)
+    happened = []
+    if fault is not None:
+        if fault.carried:
+            plant.carry(fault.carried)
+        _prepare_fault(fault, arm, console, happened)
+    values = {
+        "trajectory": planned.path,
+        "channel": "own",
+        "speed": options.speed,
+        "accept_directions": True,
+        "yes": True,
+    }
+    if options.rate is not None:
+        values["rate"] = options.rate
+    if options.is_fd:
+        values["fd"] = True
+    if options.kp is not None:
+        values["kp"] = (options.kp,)
+    if options.has_model:
+        values |= {"model": planned.model, **planned.joint_option}
+    session = OwnSession(values, console, bus, planned.robot)
+    code = 0
+    try:
+        code = play(session)
+        message = session.verdict[0]
+        ending = COMPLETED
+    except SysidError as error:
+        code = error.exit_code
+        message = str(error)
+        ending = STOPPED if arm.was_enabled else REFUSED
+    arm.advance(bus.clock.now() + AFTERWARDS)
+    plant.require_finite()
+    return Run(
+        ending,
+        code,
+        message,
+        console.lines,
+        np.array(arm.path),
+        console.begun.get(PLAYING, math.nan),
+        happened[0] if happened else math.nan,
+        console.begun.get(STOPPING, math.inf),
+        arm.off_at,
+    )
+
+
+def _plant(planned, options):
+    if options.seed is None:
+        from rigs.sound_arms import model_friction
+
+        return Plant(planned.robot, planned.start, model_friction(planned.robot))
+    return sound_plant(planned.robot, planned.start, planned.typical, options.seed)
+
+
+def _prepare_fault(fault, arm, console, happened):
+    """Let a fault happen when its time comes, and note when."""
+
+    def happen(arm):
+        happened.append(arm.plant.time)
+        fault.act(arm)
+
+    if fault.after is None:
+        happen(arm)
+    else:
+        console.on_playing.append(lambda now: arm.at(now + fault.after, happen))
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a fault did.
+
+    Attributes:
+        departure: largest distance of a joint from the twin's path, from the fault until no motor
+            makes torque any more [rad].
+        departure_in_stop: that since the stop began; 0 without one.
+        seconds: from the fault until no motor makes torque any more [s].
+        joint: number of the joint with the largest departure.
+    """
+
+    departure: float
+    departure_in_stop: float
+    seconds: float
+    joint: int
+
+
+def effect_of(run, twin):
+    """Return what a fault did, by its run and that of its twin.
+
+    Until a stop begins, joints are compared at the same moment. A stop may end anywhere on the path
+    around its beginning, and the arm may sink once the motors are off.
+    """
+    if math.isnan(run.fault_at):
+        return Effect(0.0, 0.0, math.nan, -1)
+    n_steps = min(len(run.path), len(twin.path))
+    begin = round(run.fault_at / STEP)
+    off = _step_of(run.off_at, n_steps)
+    stop = min(_step_of(run.stop_at, n_steps), off)
+    before = np.abs(run.path[begin:stop] - twin.path[begin:stop])
+    # The twin may have ended earlier than a run that goes on.
+    since = max(stop - round(WINDOW_BEFORE / STEP), 0)
+    nearby = twin.path[since : stop + round(WINDOW_AFTER / STEP)]
+    stopping = run.path[stop:off]
+    low = nearby.min(axis=0) if len(nearby) else -math.inf
+    high = nearby.max(axis=0) if len(nearby) else math.inf
+    beyond = np.maximum(np.maximum(low - stopping, stopping - high), 0.0)
+    in_stop = beyond.max(axis=0, initial=0.0)
+    departure = np.maximum(before.max(axis=0, initial=0.0), in_stop)
+    return Effect(
+        float(departure.max()),
+        float(in_stop.max()),
+        run.off_at - run.fault_at,
+        int(np.argmax(departure)),
+    )
+
+
+def _step_of(moment, n_steps):
+    return n_steps if math.isinf(moment) else min(round(moment / STEP), n_steps)
