@@ -1,8 +1,8 @@
 """Damiao motors and their bus, written from the maker's manual and not from the package.
 
-A rig that packs and drives with the code that it judges would share its errors. So codec, motor law,
-registers and bus are here a second time, in plain Python; of the package only the frame, the clock
-and the shape of a link are used. An arm (``rigs.sound_arms``) moves the motors.
+A rig that packs and drives with the code that it judges would share its errors. So codec, motor
+law, registers and bus are here a second time, in plain Python; of the package only the frame, the
+clock and the shape of a link are used. An arm (``rigs.sound_arms``) moves the motors.
 
 Units are those of the output shaft: rad, rad/s, N m, s.
 """
@@ -302,12 +302,15 @@ class OwnBus:
 
     def __init__(self, motors, advance, fd=False, has_echo=True):
         self.clock = SimulatedClock()
-        self._motors = motors
+        # Motors compare the low eight bits of an id only.
+        self._listeners = {}
+        for motor in motors:
+            self._listeners.setdefault(motor.can_id & 0xFF, []).append(motor)
         self._advance = advance
         self._fd = fd
         self._has_echo = has_echo
         self._free_at = 0.0
-        # Answers that wait for a free bus: (moment from which on, id, data).
+        # Answers that wait for a free bus, as they came: (moment from which on, id, data).
         self._waiting = []
         # Frames that were on the bus and are not read yet, in the order of time.
         self._inbox = deque()
@@ -330,7 +333,8 @@ class OwnBus:
         if self._has_echo:
             self._inbox.append(frame._replace(time=end, echo=True))
         self._advance(end)
-        for motor in self._motors:
+        number = frame.data[0] if frame.id == REGISTER_ID else frame.id & 0xFF
+        for motor in self._listeners.get(number, ()):
             data = motor.answer(frame.id, frame.data, end)
             if data is not None:
                 self._waiting.append((end + TURNAROUND, motor.master_id, data))
@@ -348,13 +352,16 @@ class OwnBus:
 
     def _let_answer(self, until):
         """Put answers onto the bus that begin before a moment [s]; the lowest id goes first."""
-        while self._waiting:
-            begin = max(self._free_at, min(answer[0] for answer in self._waiting))
+        waiting = self._waiting
+        while waiting:
+            begin = max(self._free_at, waiting[0][0])
             if begin >= until:
                 return
-            ready = [answer for answer in self._waiting if answer[0] <= begin]
-            first = min(ready, key=lambda answer: answer[1])
-            self._waiting.remove(first)
+            first = waiting[0]
+            for answer in waiting:
+                if answer[0] <= begin and answer[1] < first[1]:
+                    first = answer
+            waiting.remove(first)
             _, master_id, data = first
             self._free_at = begin + self.frame_time(data)
             self._inbox.append(CanFrame(master_id, data, self._free_at, self._fd))

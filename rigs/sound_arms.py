@@ -4,10 +4,10 @@ Nothing here is shared with the arm that the package simulates: the physics are 
 and what a joint's friction is stands below. Links are about 15 % off and one 40 %, rotors are off,
 motors and encoders a little. Such an arm is sound: nothing of this may stop a run.
 
-Friction of a joint has three parts. The dry one is larger at rest and fades with the speed; it
-grows with the torque in the gear; and it acts through a stiff spring that slips at its level, so that
-a joint which stands neither creeps nor rings. The viscous one is added to MuJoCo's damping, which is
-stepped implicitly, and so is the damping of the motors' own loops.
+Dry friction of a joint is larger at rest and fades with the speed; it grows with the torque in the
+gear; and it acts through a stiff spring that slips at its level, so that a joint which stands
+neither creeps nor rings. Viscous friction is added to MuJoCo's damping, which is stepped
+implicitly, and so is the damping of the motors' own loops.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from rigs.own_motors import OwnBus
+from rigs.own_motors import ON, OwnBus
 from rigs.wrong_arms import wrong_links
 from robot_sysid import spatial
 from robot_sysid.model.bodies import write_body
@@ -28,10 +28,11 @@ STEP = 1e-3
 """Length of a step of the physics [s]."""
 FADING = 0.1
 """Speed with which the friction of rest fades [rad/s]."""
+FADED = 10.0 * FADING
 GIVE = 1e-3
 """How far the spring of dry friction gives way before it slips [rad]."""
-STIFFEST = 0.05
-"""Most of the spring's stiffness, in units of the joint's inertia per step squared: far from 4,
+STIFFEST = 0.05 / STEP**2
+"""Most of the spring's stiffness over the joint's inertia [1/s^2]: far from 4 per step squared,
 where it would ring."""
 DAMPED = 1.0
 """Damping of that spring over the critical one."""
@@ -148,12 +149,10 @@ class Plant:
         unit = np.eye(self._model.nv)[self._dofs]
         moved = np.empty_like(unit)
         mujoco.mj_solveM(self._model, self._data, moved, unit)
-        # Least inertia that a joint can have against its spring: that of the others free.
-        self._inertia = (1.0 / np.diag(moved[:, self._dofs])).tolist()
-        self._dry = friction.dry.tolist()
-        self._at_rest = friction.at_rest.tolist()
-        self._load_share = friction.load_share.tolist()
-        self._viscous = friction.viscous.tolist()
+        # What a joint has against its own spring while the others are free.
+        inertia = 1.0 / np.diag(moved[:, self._dofs])
+        rows = friction.dry, friction.at_rest, friction.load_share, friction.viscous
+        self._friction = np.column_stack((*rows, inertia)).tolist()
         self._bend = [0.0] * n
 
     def _write_link(self, number):
@@ -190,26 +189,37 @@ class Plant:
         """Advance by ``STEP`` under the motor torque ``torque - damping qd``, lists of n."""
         forces = []
         resistances = []
-        for i, speed in enumerate(self.qd):
-            load = abs(torque[i] - damping[i] * speed)
-            rest = self._at_rest[i] * math.exp(-abs(speed) / FADING)
-            level = self._dry[i] + rest + self._load_share[i] * load + self.brake[i]
-            resistance = damping[i] + self._viscous[i]
-            force = torque[i] + self.external[i]
+        bends = []
+        for torque_i, damping_i, speed, bend, external, brake, friction in zip(
+            torque,
+            damping,
+            self.qd,
+            self._bend,
+            self.external,
+            self.brake,
+            self._friction,
+        ):
+            dry, at_rest, load_share, viscous, inertia = friction
+            force = torque_i + external
+            resistance = damping_i + viscous
+            level = dry + brake + load_share * abs(torque_i - damping_i * speed)
+            # Beyond that nothing of the friction of rest is left.
+            if -FADED < speed < FADED:
+                level += at_rest * math.exp(-abs(speed) / FADING)
             if level > 0.0:
-                inertia = self._inertia[i]
-                stiffness = min(level / GIVE, STIFFEST * inertia / STEP**2)
-                bend = self._bend[i] + STEP * speed
-                friction = stiffness * bend
-                if abs(friction) < level:
+                stiffness = min(level / GIVE, STIFFEST * inertia)
+                bend += STEP * speed
+                spring = stiffness * bend
+                if -level < spring < level:
                     resistance += 2.0 * DAMPED * math.sqrt(stiffness * inertia)
                 else:
-                    friction = math.copysign(level, friction)
-                    bend = friction / stiffness
-                self._bend[i] = bend
-                force -= friction
+                    spring = math.copysign(level, spring)
+                    bend = spring / stiffness
+                force -= spring
             forces.append(force)
             resistances.append(resistance)
+            bends.append(bend)
+        self._bend = bends
         self._data.qfrc_applied[self._dofs] = forces
         self._model.dof_damping[self._dofs] = resistances
         mujoco.mj_step(self._model, self._data)
@@ -276,27 +286,32 @@ class Arm:
         for motor, q, qd in zip(self.motors, plant.q, plant.qd):
             motor.link_position = q
             motor.link_velocity = qd
-            motor.expire(time)
-            is_driving |= motor.status == 1
-            torque, damping = _joint_torque(motor, time)
+            torque = 0.0
+            damping = motor.brake
+            if motor.status == ON:
+                is_driving = True
+                motor.expire(time)
+                torque, damping = _joint_torque(motor)
+            elif time < motor.silent_until:
+                # Its power stage is off.
+                damping = 0.0
             torques.append(torque)
             dampings.append(damping)
-            motor.encoder_shift += STEP * motor.drift_rate
-        self.was_enabled |= is_driving
+            if motor.drift_rate:
+                motor.encoder_shift += STEP * motor.drift_rate
+        if is_driving:
+            self.was_enabled = True
+        elif self.was_enabled:
+            self.off_at = min(self.off_at, time)
         if self.was_enabled:
-            if not is_driving:
-                self.off_at = min(self.off_at, time)
             plant.step(torques, dampings)
         else:
             plant.time += STEP
         self.path.append(plant.q)
 
 
-def _joint_torque(motor, time):
-    """Return constant part and damping of the torque of a motor on its joint."""
-    if motor.status != 1:
-        is_shorted = time >= motor.silent_until
-        return 0.0, motor.brake * is_shorted
+def _joint_torque(motor):
+    """Return constant part and damping of the torque of an enabled motor on its joint."""
     asked = motor.asked_torque()
     if motor.gap > 0.0 and _crosses_gap(motor, asked):
         return 0.0, 0.0

@@ -1,9 +1,9 @@
 """Planned motions that are played on arms which are not as their models say, and what comes of it.
 
-A motion is planned and exported by the command ``plan``, and played by the command ``motors play``,
-but for the bus, which is the rig's own, and for the model, which is loaded once. A run with a fault
-is compared with a twin: the same run without the fault, in simulated time, so that both are alike to
-the last bit until the fault begins.
+A motion is planned and exported by the command ``plan``, and played by the command ``motors
+play``, but for the bus, which is the rig's own, and for the model, which is loaded once. A run with
+a fault is compared with a twin: the same run without the fault, in simulated time, so that both are
+alike to the last bit until the fault begins.
 """
 
 from __future__ import annotations
