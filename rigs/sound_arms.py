@@ -338,15 +338,19 @@ def _crosses_gap(motor, asked):
     return False
 
 
+def drawn_links(robot, seed):
+    """Return the true links (n, 10) of the arm of a seed."""
+    return wrong_links(robot, np.random.default_rng([seed, 1]))
+
+
 def sound_plant(robot, q, typical, seed):
     """Return a plant that is as far from its model as real arms are, drawn with a seed."""
-    rng = np.random.default_rng([seed, 1])
-    links = wrong_links(robot, rng)
+    rng = np.random.default_rng([seed, 4])
     n = robot.n_joints
     armature = robot.mj_model.dof_armature[robot.dof_index]
     rotor_change = armature * rng.uniform(-0.3, 0.3, n) + rng.uniform(0.002, 0.02, n)
     friction = draw_friction(typical, rng)
-    return Plant(robot, q, friction, links, rotor_change)
+    return Plant(robot, q, friction, drawn_links(robot, seed), rotor_change)
 
 
 def make_sound(motors, seed):

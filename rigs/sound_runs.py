@@ -19,10 +19,19 @@ import numpy as np
 
 from rigs.own_motors import OwnMotor
 from rigs.places import GUESS, MODELS
-from rigs.sound_arms import STEP, Arm, Plant, bus_of, make_sound, sound_plant
+from rigs.sound_arms import (
+    STEP,
+    Arm,
+    Plant,
+    bus_of,
+    drawn_links,
+    make_sound,
+    model_friction,
+    sound_plant,
+)
 from rigs.walk import run_here
 from rigs.worn_arms import motor_types
-from rigs.wrong_arms import typical_torque
+from rigs.wrong_arms import resting_torque, typical_torque
 from robot_sysid.commands.motors import play
 from robot_sysid.commands.motors.session import Session
 from robot_sysid.damiao.bus import GuardedLink
@@ -43,6 +52,13 @@ AFTERWARDS = 0.5
 WINDOW_BEFORE = 0.1
 WINDOW_AFTER = 0.5
 """Which part of the twin's path a joint may be on in a stop: around the moment it began [s]."""
+LEAST_RATE = 50.0
+MOST_RATE = 500.0
+LEAST_STIFFNESS = 20.0
+MOST_STIFFNESS = 100.0
+"""Between which rates [Hz] and stiffnesses [N m/rad] runs are drawn."""
+MOST_SAG = 0.15
+"""How far an arm may sag by its stiffness [rad]; a run is stopped at 0.2, as it should be."""
 SAMPLE_RATE = 250.0
 """Rate at which a motion's torque is looked at, to choose motors [Hz]."""
 COMPLETED = "completed"
@@ -60,14 +76,12 @@ class PublicArm:
         model: its file.
         joint: its terminal joint; "" where it has one only.
         motors: types of its motors, base first; by default the weakest that are strong enough.
-        wrist: type of the motors of its last three joints, whatever they need.
         wrist_damping: of the model's motors DM4310 in place of the file's [N m s/rad].
     """
 
     model: Path
     joint: str = ""
     motors: tuple[str, ...] = ()
-    wrist: str = ""
     wrist_damping: float | None = None
 
     @property
@@ -91,17 +105,14 @@ _OPENARM = PublicArm(
     "openarm_left_joint7",
     _OPENARM_MOTORS,
 )
-_IIWA = PublicArm(MODELS / "kuka_iiwa_14" / "iiwa14.xml")
-_FR3 = PublicArm(MODELS / "franka_fr3" / "FrankaFR3_7DoF.urdf")
 SOUND_ARMS = {
     "kinova": PublicArm(GUESS, motors=_KINOVA_MOTORS),
     "openarm": _OPENARM,
     "openarm_light": replace(_OPENARM, wrist_damping=0.05),
     "ur5e": PublicArm(MODELS / "universal_robots_ur5e" / "ur5e.xml"),
-    "iiwa14": _IIWA,
-    "iiwa14_4310": replace(_IIWA, wrist="DM4310"),
-    "fr3": _FR3,
-    "fr3_4310": replace(_FR3, wrist="DM4310"),
+    # The weakest motors of these two that are strong enough have wrists of DM4310.
+    "iiwa14": PublicArm(MODELS / "kuka_iiwa_14" / "iiwa14.xml"),
+    "fr3": PublicArm(MODELS / "franka_fr3" / "FrankaFR3_7DoF.urdf"),
     "xarm7": PublicArm(MODELS / "ufactory_xarm7" / "xarm7_nohand.xml"),
 }
 """Arms on Damiao motors, none of whose runs may be stopped while they are sound."""
@@ -118,7 +129,7 @@ class PlannedMotion:
         robot: the model as the player has it.
         motors: types of the motors, base first.
         typical: torque (n,) that joints need in it [N m].
-        start: positions (n,) at its beginning [rad].
+        q: its positions (N, n) [rad].
     """
 
     arm: PublicArm
@@ -127,7 +138,22 @@ class PlannedMotion:
     robot: object
     motors: tuple[str, ...]
     typical: np.ndarray
-    start: np.ndarray
+    q: np.ndarray
+
+    def least_stiffness(self, seed):
+        """Return with which stiffness the arm of a seed sags by ``MOST_SAG`` at most [N m/rad].
+
+        It sags because its links are heavier or lighter than the model's, which are fed.
+        """
+        thetas = drawn_links(self.robot, seed)
+        true = resting_torque(self.robot, self.q, thetas)
+        fed = resting_torque(self.robot, self.q, self.robot.thetas)
+        return float(np.abs(true - fed).max()) / MOST_SAG
+
+    def telling_joints(self):
+        """Return the numbers of the joints that carry most and second most, and of a wrist's."""
+        most, second = np.argsort(-self.typical)[:2].tolist()
+        return most, second, max(set(range(len(self.typical) - 1)) - {most, second})
 
     @property
     def joint_option(self):
@@ -159,8 +185,6 @@ def planned_motion(name, folder, duration=6.0, seed=0):
     if not types:
         fastest = np.abs(motion.qd).max(axis=0)
         types = tuple(motor_types(np.asarray(dynamics(motion)), fastest))
-    if arm.wrist:
-        types = (*types[:-3], *(arm.wrist,) * 3)
     if not exported.exists():
         motors = " ".join(f"--motor-type {motor}" for motor in types)
         _command(
@@ -169,7 +193,7 @@ def planned_motion(name, folder, duration=6.0, seed=0):
         )
     weight, inertia = dynamics.weight_and_inertia(motion)
     typical = typical_torque(weight + inertia)
-    return PlannedMotion(arm, model, exported, robot, types, typical, motion.q[0])
+    return PlannedMotion(arm, model, exported, robot, types, typical, motion.q)
 
 
 def _command(line):
@@ -237,6 +261,27 @@ class RunOptions:
     def is_fd(self):
         """Whether it needs CAN-FD."""
         return (self.rate or 0.0) > FASTEST_CLASSIC
+
+
+def draw_options(name, folder, seed, speed, has_model, duration=6.0):
+    """Return how the arm of a seed is played, with a rate and a stiffness that are drawn, too.
+
+    A stiffness with which it would sag out of its tolerance is raised.
+    """
+    rng = np.random.default_rng([seed, 3])
+    rate = math.exp(rng.uniform(math.log(LEAST_RATE), math.log(MOST_RATE)))
+    stiffness = rng.uniform(LEAST_STIFFNESS, MOST_STIFFNESS)
+    planned = planned_motion(name, folder, duration)
+    least = planned.least_stiffness(seed)
+    return RunOptions(
+        arm=name,
+        seed=seed,
+        speed=speed,
+        rate=round(rate),
+        kp=round(max(stiffness, least)),
+        has_model=has_model,
+        duration=duration,
+    )
 
 
 class Listener(Progress):
@@ -338,6 +383,21 @@ class Run:
     off_at: float
 
 
+@cache
+def twin_of(options, folder, carried=0.0):
+    """Return the undisturbed run of an arm that may carry a mass [kg]."""
+    if not carried:
+        return run_arm(options, folder)
+    nothing = ArmFault("nothing", lambda arm: None, after=None, carried=carried)
+    return run_arm(options, folder, nothing)
+
+
+def disturbed_run(options, folder, fault):
+    """Return the run with a fault, and what the fault did."""
+    run = run_arm(options, folder, fault)
+    return run, effect_of(run, twin_of(options, folder, fault.carried))
+
+
 def run_arm(options, folder, fault=None):
     """Play a planned motion on an arm, with a fault or without; return the run."""
     planned = planned_motion(options.arm, folder, options.duration)
@@ -382,6 +442,7 @@ def run_arm(options, folder, fault=None):
     try:
         code = play(session)
         message = session.verdict[0]
+        console.stage(*session.verdict)
         ending = COMPLETED
     except SysidError as error:
         code = error.exit_code
@@ -404,10 +465,8 @@ def run_arm(options, folder, fault=None):
 
 def _plant(planned, options):
     if options.seed is None:
-        from rigs.sound_arms import model_friction
-
-        return Plant(planned.robot, planned.start, model_friction(planned.robot))
-    return sound_plant(planned.robot, planned.start, planned.typical, options.seed)
+        return Plant(planned.robot, planned.q[0], model_friction(planned.robot))
+    return sound_plant(planned.robot, planned.q[0], planned.typical, options.seed)
 
 
 def _prepare_fault(fault, arm, console, happened):

@@ -1,0 +1,120 @@
+"""What a run does, and says, when an arm is not what its model and its motors say.
+
+Run from the checkout:
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.motor_differences
+    ... --arms kinova --only "kd is ignored" "motor starts again" --lines 6
+    ... --list                             # names of all faults
+
+Each fault happens to a sound arm that plays a planned motion (see ``rigs.sound_arms``; nothing of
+the package's own simulation is in it), by default with a model. Printed are the largest departure
+of a true joint position from the undisturbed run of the same arm until no motor makes torque any
+more, that since the stop began, how long after the fault that is, how the run ended, and the last
+lines that were printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import multiprocessing
+import tempfile
+from functools import partial
+from pathlib import Path
+
+from rigs.arm_faults import table_faults
+from rigs.sound_runs import (
+    COMPLETED,
+    SOUND_ARMS,
+    ArmFault,
+    RunOptions,
+    disturbed_run,
+    planned_motion,
+)
+
+ARMS = ("kinova", "fr3")
+DURATION = 6.0
+"""Length of the motion at full speed [s]: torque that fades to half needs five."""
+LINES = 5
+
+
+def faults_of(arm: str, folder: Path) -> list[ArmFault]:
+    """Return a fault of each kind for an arm."""
+    loaded, _, wrist = planned_motion(arm, folder, DURATION).telling_joints()
+    return table_faults(loaded, wrist)
+
+
+def result_of(case: tuple[RunOptions, int], folder: Path) -> tuple:
+    """Play a fault, by its number; return it, what it did, ending, exit code and lines."""
+    options, number = case
+    fault = faults_of(options.arm, folder)[number]
+    run, effect = disturbed_run(options, folder, fault)
+    lines = run.lines if run.exit == COMPLETED else [*run.lines, run.message]
+    return options, fault.name, fault.joint, effect, run.exit, run.code, lines
+
+
+def print_result(result: tuple, n_lines: int) -> None:
+    """Print what came of a fault."""
+    options, name, joint, effect, ending, code, lines = result
+    owner = "" if joint is None else f", joint {joint}"
+    seconds = "-" if ending == COMPLETED else f"{effect.seconds:.3f}"
+    print(
+        f"{options.arm:10s} {name + owner:46s} {effect.departure:6.3f} "
+        f"{effect.departure_in_stop:6.3f} rad  {seconds:>6s} s  {ending}, exit code {code}",
+        flush=True,
+    )
+    for line in lines[len(lines) - n_lines :]:
+        print(f"    {line}", flush=True)
+
+
+def main() -> int:
+    """Play all that is asked for; return the exit code 0."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--arms", nargs="+", choices=SOUND_ARMS, default=ARMS)
+    parser.add_argument(
+        "--only", nargs="+", help="names of faults, or their beginnings"
+    )
+    parser.add_argument("--list", action="store_true", help="print the names of all")
+    parser.add_argument("--model", choices=("both", "with", "without"), default="with")
+    parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--rate", type=float)
+    parser.add_argument("--kp", type=float)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--lines", type=int, default=LINES, help="how many to print")
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    if arguments.list:
+        print("\n".join(fault.name for fault in table_faults(1, 5)))
+        return 0
+    models = {"both": (True, False), "with": (True,), "without": (False,)}
+    wanted = tuple(arguments.only or ("",))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        cases = []
+        for arm, has_model in itertools.product(
+            arguments.arms, models[arguments.model]
+        ):
+            options = RunOptions(
+                arm=arm,
+                seed=arguments.seed,
+                speed=arguments.speed,
+                rate=arguments.rate,
+                kp=arguments.kp,
+                has_model=has_model,
+                duration=DURATION,
+            )
+            names = [fault.name for fault in faults_of(arm, folder)]
+            cases += [
+                (options, number)
+                for number, fault_name in enumerate(names)
+                if fault_name.startswith(wanted)
+            ]
+        with multiprocessing.Pool(arguments.jobs) as pool:
+            for result in pool.imap(partial(result_of, folder=folder), cases):
+                print_result(result, arguments.lines)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,119 @@
+"""Sound arms, none of whose runs may be stopped: links 15 % off, friction that no file knows.
+
+Run from the checkout:
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.sound_arms
+    ... --runs 2 --arms kinova fr3 --speeds 0.2 1 --jobs 2
+    ... --runs 40 --first 10               # other draws
+    ... --each                             # a line per run, too
+
+A planned motion is exported once per arm, and played as ``motors play`` does, in simulated time,
+on a plant, motors and a bus that share no code with those of the package. Each draw is another arm,
+with another stiffness (20 to 100 N m/rad, or what carries it) and another rate (50 to 500 Hz, with
+CAN-FD above 250); it is played with a model and without. Public models that are not at hand are
+left out.
+
+The exit code is 1 where a run was stopped or refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import multiprocessing
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from benchmarks.motor_faults import shorten_message
+from rigs.sound_runs import (
+    COMPLETED,
+    SOUND_ARMS,
+    Run,
+    RunOptions,
+    draw_options,
+    planned_motion,
+    run_arm,
+)
+
+SPEEDS = (0.2, 0.3, 0.5, 1.0)
+RUNS = 10
+DURATION = 4.0
+"""Length of the motions at full speed [s]."""
+
+
+def options_of(
+    arm: str, folder: Path, speed: float, seeds: range, models: tuple[bool, ...]
+) -> Iterator[RunOptions]:
+    """Yield how an arm is played at a speed."""
+    for seed, has_model in itertools.product(seeds, models):
+        yield draw_options(arm, folder, seed, speed, has_model, DURATION)
+
+
+def result_of(options: RunOptions, folder: Path) -> tuple[RunOptions, str, str]:
+    """Play once; return how, how it ended, and the message."""
+    run: Run = run_arm(options, folder)
+    return options, run.exit, run.message
+
+
+def print_line(arm: str, speed: float, results: list, seconds: float) -> int:
+    """Print what came of an arm at a speed; return how many runs did not come to their end."""
+    stopped = [message for _, ending, message in results if ending != COMPLETED]
+    words = Counter(map(shorten_message, stopped)).most_common(3)
+    text = "; ".join(f"{count}x {message}" for message, count in words)
+    cost = seconds / len(results)
+    print(
+        f"{arm:14s} {speed:4g}  stopped {len(stopped):2d} of {len(results):2d}  "
+        f"[{cost:.1f} s per run]  {text}",
+        flush=True,
+    )
+    return len(stopped)
+
+
+def main() -> int:
+    """Play all that is asked for; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--arms", nargs="+", choices=SOUND_ARMS, default=[*SOUND_ARMS])
+    parser.add_argument("--speeds", nargs="+", type=float, default=SPEEDS)
+    parser.add_argument("--runs", type=int, default=RUNS, help="draws per line")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
+    parser.add_argument("--model", choices=("both", "with", "without"), default="both")
+    parser.add_argument("--each", action="store_true", help="a line per run, too")
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    models = {"both": (True, False), "with": (True,), "without": (False,)}
+    seeds = range(arguments.first, arguments.first + arguments.runs)
+    arms = [arm for arm in arguments.arms if SOUND_ARMS[arm].is_at_hand]
+    n_stopped = 0
+    n_runs = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for arm in arms:
+            planned_motion(arm, folder, DURATION)
+        with multiprocessing.Pool(arguments.jobs) as pool:
+            for arm, speed in itertools.product(arms, arguments.speeds):
+                begun = time.monotonic()
+                cases = options_of(arm, folder, speed, seeds, models[arguments.model])
+                results = []
+                for result in pool.imap(partial(result_of, folder=folder), cases):
+                    results.append(result)
+                    options, ending, message = result
+                    if arguments.each:
+                        print(
+                            f"  seed {options.seed} kp {options.kp} {options.rate} Hz model "
+                            f"{options.has_model}: {ending}, {message}",
+                            flush=True,
+                        )
+                seconds = time.monotonic() - begun
+                n_stopped += print_line(arm, speed, results, seconds)
+                n_runs += len(results)
+    print(f"\nstopped {n_stopped} of {n_runs} runs of sound arms")
+    return int(n_stopped > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
