@@ -31,7 +31,7 @@ FADING = 0.1
 FADED = 10.0 * FADING
 GIVE = 1e-3
 """How far the spring of dry friction gives way before it slips [rad]."""
-STIFFEST = 0.05 / STEP**2
+STIFFEST = 0.2 / STEP**2
 """Most of the spring's stiffness over the joint's inertia [1/s^2]: far from 4 per step squared,
 where it would ring."""
 DAMPED = 1.0
