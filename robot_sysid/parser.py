@@ -116,7 +116,7 @@ def load_robot_model(
             f"the arm ends at joint {names[-1]} (to add the jaw: {option_setting('joint', name)})"
         )
     if keyframe_id is None and mj_model.nkey:
-        keyframes = ", ".join(_keyframe_names(mj_model))
+        keyframes = ", ".join(keyframe_names(mj_model))
         notes.append(
             "of several keyframes none is called home, so all joints start at their zero; "
             f"{option_name('keyframe')} chooses one of {keyframes}"
@@ -150,7 +150,7 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
     With a ``name`` ("#1" for the nameless one with id 1) it is the keyframe called so, InputError
     where there is none. Without, it is the one called "home", else the only one, else None.
     """
-    names = _keyframe_names(mj_model)
+    names = keyframe_names(mj_model)
     if name is None:
         if "home" in names:
             return names.index("home")
@@ -162,7 +162,7 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
     return names.index(name)
 
 
-def _keyframe_names(mj_model: Any) -> list[str]:
+def keyframe_names(mj_model: Any) -> list[str]:
     """Return the names of a model's keyframes in their order, "#0" for a nameless one with id 0."""
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
 

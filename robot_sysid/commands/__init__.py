@@ -38,7 +38,7 @@ _USES = {
     "payload MODEL --empty LOG --loaded LOG": "weigh what is bolted on, by difference",
     "check MODEL LOG --since EARLIER": "tell whether the arm is what it was at an earlier log",
     "motors simulate|check|play FILE": "rehearse and play a planned motion on Damiao motors",
-    "motors setup|map|monitor|hold": "set Damiao motors up, watch them, hold or float an arm",
+    "motors setup|map|monitor|hold|move": "set Damiao motors up, watch them, hold or move an arm",
     "MODEL": "test the identification on the model's own simulation",
     "example kinova": "copy an example with two logs, to try all this",
 }

@@ -34,6 +34,7 @@ from robot_sysid.damiao.safety.holding import (
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     HoldOptions,
+    MoveOptions,
     Plan,
     PlaySettings,
     RecordingOptions,
@@ -128,11 +129,7 @@ class MotorRun:
         or a recording would replace an input, or another file without --overwrite.
         """
         robot = self.robot
-        for key in (*vars(ModelOptions()), *MODEL_LIMITS):
-            if robot is None and self.values.get(key) is not None:
-                raise InputError(
-                    f"{option_name(key)} is about a model; add {option_name('model')}"
-                )
+        self.require_model_for(*vars(ModelOptions()), *MODEL_LIMITS)
         trajectory = read_damiao_trajectory(self.values["trajectory"])
         if robot is not None and trajectory.n_joints != robot.n_joints:
             raise InputError(
@@ -140,6 +137,14 @@ class MotorRun:
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
         return self._plan_of(trajectory)
+
+    def require_model_for(self, *keys: str) -> None:
+        """Raise InputError where one of some options was given, by its key, but no model."""
+        for key in keys:
+            if self.robot is None and self.values.get(key) is not None:
+                raise InputError(
+                    f"{option_name(key)} is about a model; add {option_name('model')}"
+                )
 
     def standing_plan(self, inspection: Inspection = _NOTHING) -> Plan:
         """Return the plan that holds the model's arm where an inspection finds it.
@@ -171,6 +176,17 @@ class MotorRun:
         )
         # The arm stays where it was inspected.
         return self._plan_of(trajectory, start_tolerance=0.05)
+
+    def moving_plan(self, inspection: Inspection = _NOTHING) -> Plan:
+        """Return the plan that moves the model's arm from where an inspection finds it to a pose.
+
+        Errors are those of ``standing_plan`` and ``goal_pose``.
+        """
+        from robot_sysid.damiao.moving import goal_pose, moving_plan
+
+        words = record_from(MoveOptions, self.values).to
+        goal = goal_pose(self.robot, words)
+        return moving_plan(self.standing_plan(inspection), self.robot, goal)
 
     def _plan_of(self, trajectory: DamiaoTrajectory, **settings: Any) -> Plan:
         """Return the plan of a trajectory, with its joints mapped; ``settings`` are no options."""

@@ -216,13 +216,29 @@ class HoldOptions(OptionRecord):
         default_text="by the motors' registers",
         repeats=True,
     )
-    simulate: bool = option(False, "hold a simulated arm, without a bus")
+    simulate: bool = option(False, "take a simulated arm, without a bus")
     pose: tuple[float, ...] = option(
         (),
         "where the simulated arm stands, one angle per joint",
         "Q [rad]",
         takes_many=True,
         default_text="the model's own pose",
+    )
+
+
+ARM_OPTIONS = "motor_type", "simulate", "pose"
+"""Keys of the options of ``HoldOptions`` that say which arm a command without a file has."""
+
+
+@dataclass(frozen=True)
+class MoveOptions(OptionRecord):
+    """Where ``motors move`` moves an arm."""
+
+    to: tuple[str, ...] = option(
+        (),
+        "keyframe of the model, by its name or its number from 0 on, or one position per joint",
+        "POSE",
+        takes_many=True,
     )
 
 
@@ -265,6 +281,8 @@ class Plan:
             a model.
         user_limits: the user's; None where there are none.
         model_limits: those of the model's joints; None without one.
+        remedy: what to do where the motion leaves a limit, or something touches; "" where it is a
+            file's.
 
     The settings become complete when the plan is made: ``PlaySettings.for_motors`` fills them in.
     The transfer to the first point is made as slow as the limits ask for.
@@ -277,6 +295,7 @@ class Plan:
     mobility: Array | None = None
     user_limits: Limits | None = None
     model_limits: Limits | None = None
+    remedy: str = ""
 
     def __post_init__(self) -> None:
         """Complete the settings; InputError where the trajectory has fewer than two rows."""

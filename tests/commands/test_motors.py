@@ -225,7 +225,7 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
 
 
 BAD_USAGE = {
-    "fly": "unknown command 'fly'; valid: simulate, check, play, hold, setup",
+    "fly": "unknown command 'fly'; valid: simulate, check, play, hold, move, setup",
     "check": "the following arguments are required: TRAJECTORY",
     "play T": "this command needs --channel",
     "play --channel can0": "the following arguments are required: TRAJECTORY",

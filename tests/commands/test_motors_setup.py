@@ -71,7 +71,7 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
     program, *words = shlex.split(re.search("  (robot-sysid motors setup .*)", out)[1])
     out = succeed(capsys, *words[1:])
     assert motor.stored == motor.registers and motor.stored[Register.ESC_ID] == 3.0
-    assert "forgets" not in out and "motors check" in out
+    assert "forgets it" not in out and "Done: motor 3 is changed\n" in out
 
 
 @pytest.mark.parametrize("change", ["--mit", "--clear-error", "--store", "--new-id 3"])

@@ -38,7 +38,8 @@ BASES = {
     "motors play": "motion.csv --channel can0 --model two.xml --yes",
     "motors simulate": "motion.csv --model two.xml",
     "motors hold": "--simulate --model two.xml --motor-type DM8009 --for 1",
-    "motors setup": "--channel can0",
+    "motors move": "--simulate --model two.xml --motor-type DM8009 --to .3 .3",
+    "motors setup": "--channel can0 --model two.xml",
     "motors monitor": "--channel can0",
     "motors map": "--channel can0 --model two.xml",
 }

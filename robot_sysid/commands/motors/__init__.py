@@ -11,6 +11,7 @@ from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
 from robot_sysid.commands.motors.holding import hold
 from robot_sysid.commands.motors.mapping import MapOptions, map_joints
+from robot_sysid.commands.motors.moving import move
 from robot_sysid.commands.motors.session import (
     PlayChoices,
     Session,
@@ -32,8 +33,10 @@ from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.execution import LIMIT_OPTIONS, SIMULATED_OPTIONS, ArmFiles
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
+    ARM_OPTIONS,
     HOLD_SETTINGS,
     HoldOptions,
+    MoveOptions,
     PlaySettings,
     RecordingOptions,
 )
@@ -131,6 +134,9 @@ _CHECKED = {
     "motion and limits": options_of_all(PlaySettings),
     "limits": LIMIT_OPTIONS,
 }
+# Of commands that hold and move an arm without a trajectory.
+_STANDING_ARM = [option for option in _ARM if option.key != "trajectory"]
+_MODEL = [*options_of_all(ModelOptions), *options_of_all(ArmFiles, only=("model",))]
 _RECORDED = {**_CHECKED, "recording": options_of_all(RecordingOptions)}
 _ASKING = {"asking": options_of_all(PlayChoices)}
 # What a simulated arm is, where it is not the usual one.
@@ -166,7 +172,7 @@ def _command(
 # Keys of the main options of commands that move an arm, as far as a command has them.
 _MAIN = (
     "model interface channel fd speed rate kp park record yes joint_map plant_model float for_ "
-    "motor_type simulate pose"
+    "motor_type simulate pose to"
 )
 _PLAYED = (
     _command(
@@ -207,7 +213,7 @@ _PLAYED = (
         "stiffness away, and measure how fast the joints drift, hands off. An arm that falls is "
         "caught. A disabled arm sinks: support it.",
         {
-            "arm": [option for option in _ARM if option.key != "trajectory"],
+            "arm": _STANDING_ARM,
             "holding": options_of_all(HoldOptions),
             **_PLANT,
             **_BUS,
@@ -219,12 +225,35 @@ _PLAYED = (
         required=("model",),
     ),
     _command(
+        "move",
+        move,
+        "--to home --model arm.xml --channel can0",
+        "Move an arm from where it stands to a pose of its model, slowly and on a straight line of "
+        "the joints, with all checks of play along the whole way; hold it there for a moment, and "
+        "disable it. A disabled arm sinks: support it.",
+        {
+            "arm": _STANDING_ARM,
+            "moving": [
+                *options_of_all(MoveOptions),
+                *options_of_all(HoldOptions, only=ARM_OPTIONS),
+            ],
+            **_PLANT,
+            **_BUS,
+            **_ASKING,
+            "how it is held": options_of_all(PlaySettings, only=HOLD_SETTINGS),
+            "limits": LIMIT_OPTIONS,
+            "recording": options_of_all(RecordingOptions),
+        },
+        main=_MAIN,
+        required=("model", "to"),
+    ),
+    _command(
         "setup",
         setup,
         "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
         "List the motors on a bus, or change one: ids, mode, watchdog, error. "
         "Never while it is enabled.",
-        {**_BUS, "setup": options_of_all(SetupOptions)},
+        {**_BUS, "arm": _MODEL, "setup": options_of_all(SetupOptions)},
     ),
     _command(
         "monitor",
@@ -239,14 +268,7 @@ _PLAYED = (
         "--channel can0 --model arm.xml --output joint_map.csv",
         "Find out by hand which motor drives which joint of a model, which way, and where its "
         "zero is. The arm is limp: support it, and move one joint at a time when you are asked.",
-        {
-            "arm": [
-                *options_of_all(ModelOptions),
-                *options_of_all(ArmFiles, only=("model",)),
-            ],
-            **_BUS,
-            "map": options_of_all(MapOptions),
-        },
+        {"arm": _MODEL, **_BUS, "map": options_of_all(MapOptions)},
         required=("model",),
     ),
 )

@@ -6,6 +6,7 @@ import contextlib
 
 import numpy as np
 
+from robot_sysid.commands.motors.following import plan_step
 from robot_sysid.commands.motors.session import (
     Session,
     conclude_on_reports,
@@ -17,7 +18,6 @@ from robot_sysid.damiao.protocol import Scaling
 from robot_sysid.damiao.references import Activity, hold_reference
 from robot_sysid.damiao.settings import HoldOptions, Plan
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.pipeline.next_steps import step_after
 from robot_sysid.records.option_fields import record_from
 
 
@@ -71,11 +71,7 @@ def _conclude(session: Session, plan: Plan, floating: Floating) -> None:
     fastest = max(drifts, key=lambda drift: abs(drift.end_speed))
     if fastest.end_speed:
         speed = np.degrees(abs(fastest.end_speed))
-        values = {**session.values, "path": session.values["model"]}
-        words = ["--for", "arm", "--export-damiao"]
-        for joint in joints:
-            words += ["--motor-type", joint.motor_type]
         session.conclude(
             f"Done: {fastest.joint} drifts fastest, at {speed:.2f} deg/s",
-            step_after("self-test passed", values, *words, folder="."),
+            plan_step(session, [joint.motor_type for joint in joints]),
         )

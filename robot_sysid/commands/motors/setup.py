@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot_sysid.commands.motors.following import step_with_motors
 from robot_sysid.commands.motors.session import Session, motor_table
 from robot_sysid.damiao.bus import (
     GuardedLink,
@@ -36,7 +37,7 @@ from robot_sysid.damiao.protocol import (
     status_text,
 )
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
-from robot_sysid.records.file_access import DAMIAO_NAME
+from robot_sysid.model import ModelOptions
 from robot_sysid.records.option_fields import (
     OptionRecord,
     given_values,
@@ -88,6 +89,9 @@ def setup(session: Session) -> int:
     changes = given_values(options).keys() - {"motor"}
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
+    # A model that cannot be read is refused before a motor is changed.
+    session.require_model_for(*vars(ModelOptions()))
+    robot = session.robot
     with session.open_guarded(is_motion) as link:
         motors = list_motors(session, link)
         done = f"motors that answer: {len(motors)}"
@@ -96,8 +100,8 @@ def setup(session: Session) -> int:
             for line in change_motor(link, motor, options):
                 session.console.stage(line)
             done = f"{motor.name} is changed"
-    sentence = "Next, check the motors for a trajectory"
-    step = session.step_to("check", sentence, trajectory=DAMIAO_NAME)
+            motors = {**motors, options.new_id or motor.can_id: motor}
+    step = step_with_motors(session, robot, motors)
     if changes - {"clear_error"} and not options.store:
         done += ", and forgets it when its power goes off"
         store = "--motor", str(options.new_id or options.motor), "--store"

@@ -98,7 +98,8 @@ def contact_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
     contact = first_contact(problem, plan.trajectory)
     if contact is not None:
         time = contact.time / plan.settings.speed
-        yield stop(f"the model's {contact.label} touch at {time:.2f} s; {SMALLER}")
+        remedy = plan.remedy or SMALLER
+        yield stop(f"the model's {contact.label} touch at {time:.2f} s; {remedy}")
 
 
 def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:

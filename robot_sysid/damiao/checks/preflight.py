@@ -151,7 +151,7 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
     stated = [*motor_ratings(joints)]
     for limits, owner, remedy in (
         (plan.user_limits, "your limit", "plan a motion within it"),
-        (plan.model_limits, "the model's limit", SMALLER),
+        (plan.model_limits, "the model's limit", plan.remedy or SMALLER),
     ):
         if limits is not None:
             stated.insert(0, StatedLimits(limits, owner, remedy))
@@ -231,7 +231,8 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
     )
     frames[~(frames > 0.0)] = np.inf
     limits = Mounting.of(joints).frame_limits(frames)
-    stated = [StatedLimits(limits, "its registers' limit", SMALLER)]
+    remedy = plan.remedy or SMALLER
+    stated = [StatedLimits(limits, "its registers' limit", remedy)]
     yield from limit_checks(trajectory, settings.speed, stated)
     positions = joint_positions(joints, inspection)
     tolerance = settings.start_tolerance
