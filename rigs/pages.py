@@ -42,6 +42,8 @@ MODEL = {
     "tip_inertial": '<inertial pos=".02 .04 .1" mass="3.5" diaginertia=".02 .03 .02"/>',
 }
 """What the arm's model says instead."""
+HOME = '<keyframe><key name="home" qpos="0 0 0 0"/></keyframe>'
+"""Keyframe of the model, the pose in which all its joints are at zero."""
 WEIGHT = "2.000"
 """Mass of the payload [kg], the one that docs/payload.md calls known."""
 _BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -122,7 +124,7 @@ def make_models(folder: Path) -> None:
     load += 'diaginertia=".004 .005 .003"/></body>'
     truth = arms.serial_arm(AXES, **ARM)
     loaded = arms.serial_arm(AXES, tip=load, **ARM)
-    model = arms.serial_arm(AXES, **MODEL)
+    model = arms.serial_arm(AXES, extra=HOME, **MODEL)
     tool = arms.serial_arm(AXES, tip=load, **MODEL)
     texts = {"truth.xml": truth, "loaded.xml": loaded, "arm_with_tool.xml": tool}
     names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml")

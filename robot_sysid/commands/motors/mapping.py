@@ -2,38 +2,53 @@
 
 The arm is limp. A person moves one joint after the other in the model's positive direction, or says
 that it moved the opposite way; the motor that turned drives it. Then the arm is put into a pose
-that the model has.
+that the model has, or each joint is pushed to its end stops.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.commands.motors.end_stops import zeros_at_stops
+from robot_sysid.commands.motors.following import step_with_motors
+from robot_sysid.commands.motors.limp import LimpArm, Positions
 from robot_sysid.commands.motors.session import Session, ask
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
-from robot_sysid.damiao.joints import BY_HAND, DamiaoJoint, write_joint_map
+from robot_sysid.damiao.joints import (
+    BY_HAND,
+    DamiaoJoint,
+    read_joint_map,
+    write_joint_map,
+)
+from robot_sysid.damiao.joints import map_joints as select_rows
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
-from robot_sysid.records.file_access import DAMIAO_NAME, require_writable
-from robot_sysid.records.messages import count_text
+from robot_sysid.records.file_access import require_writable
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
+from robot_sysid.wording import option_name
 
-Positions = Mapping[int, float]
-"""Position of each motor [rad], by its CAN id."""
 # Names of the negative and the positive direction of each axis of the world.
 _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 
 
 @dataclass(frozen=True)
 class MapOptions(OptionRecord):
-    """File that ``motors map`` writes."""
+    """The file that ``motors map`` writes, and where its zeros come from."""
 
     output: Path = option(Path("joint_map.csv"), "where to write the map", "FILE")
+    zeros_at_stops: bool = option(
+        False,
+        "zeros from both end stops of each joint, in place of the model's own pose",
+    )
+    joint_map: Path | None = option(
+        None,
+        "with {zeros_at_stops}: begin with this map, and renew its zeros alone",
+        "FILE",
+    )
 
 
 def movement_texts(robot: RobotModel) -> Iterator[str]:
@@ -67,85 +82,106 @@ def map_joints(session: Session) -> int:
     """Write the joint map that a person shows by moving the limp arm; return the exit code 0.
 
     InputError where the map's file exists already or cannot be written, before the arm is moved;
-    other errors are those of ``map_by_hand``.
+    other errors are those of ``mounted_by_hand``, ``zeros_at_pose`` and ``zeros_at_stops``.
     """
     options = record_from(MapOptions, session.values)
     robot = session.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
     require_writable(options.output.parent)
+    rows = _rows_to_renew(options)
     with session.open_guarded(protocol.is_motion) as link:
-        write_joint_map(options.output, map_by_hand(link, robot))
-    sentence = "Next, check the motors with it"
-    changes = {"trajectory": DAMIAO_NAME, "joint_map": options.output}
-    step = session.step_to("check", sentence, **changes)
+        arm = LimpArm(link, robot.n_joints)
+        if rows:
+            unnamed = [DamiaoJoint("", 0, 0)] * robot.n_joints
+            mounted = select_rows(unnamed, rows, robot.joint_names)
+            arm.require(mounted)
+            joints = zeros_at_stops(session, arm, robot, mounted, has_zeros=True)
+        else:
+            turned = mounted_by_hand(arm, robot)
+            mounted = tuple(joint for joint, _ in turned)
+            if options.zeros_at_stops:
+                joints = zeros_at_stops(session, arm, robot, mounted, has_zeros=False)
+            else:
+                joints = zeros_at_pose(arm, robot, turned)
+    # A map may have more joints than the model's chain: those of a gripper, or of another model.
+    renewed = {joint.name: joint for joint in joints}
+    written = [renewed.get(row.name, row) for row in rows] or joints
+    write_joint_map(options.output, written)
+    can_ids = [joint.can_id for joint in joints]
+    step = step_with_motors(session, robot, arm.motors, can_ids, options.output)
     session.conclude(f"Done: written to {options.output}", step)
     return 0
 
 
-def map_by_hand(link: GuardedLink, robot: RobotModel) -> Iterator[DamiaoJoint]:
-    """Yield the rows of the joint map that a person shows by moving one joint after the other.
+def _rows_to_renew(options: MapOptions) -> tuple[DamiaoJoint, ...]:
+    """Return the rows of the joint map whose zeros are renewed; nothing where there is none.
 
-    There is one per joint of the robot, base to terminal, without motor types.
+    InputError where it is not said that zeros come from the stops, or the map cannot be read.
+    """
+    if options.joint_map is None:
+        return ()
+    if not options.zeros_at_stops:
+        raise InputError(
+            f"{option_name('joint_map')} is the map whose zeros are renewed; add "
+            f"{option_name('zeros_at_stops')}"
+        )
+    return read_joint_map(options.joint_map)
+
+
+def mounted_by_hand(arm: LimpArm, robot: RobotModel) -> list[tuple[DamiaoJoint, float]]:
+    """Return the joints that a person shows by moving one after the other, base to terminal.
+
+    They have motors and directions, and no zeros yet. Beside each is the position to which its
+    motor was turned [rad]. HardwareAbort where in three attempts no single motor turned clearly.
 
     Args:
-        link: link of the motors' bus.
+        arm: the limp arm.
         robot: model of the arm.
-
-    Raises:
-        InputError: there are fewer motors than joints, or standard input has ended.
-        HardwareAbort: a motor is enabled or does not answer, in three attempts no single motor
-            turned clearly, or a joint was moved to where its range does not reach.
     """
-    client = RegisterClient(link)
-    motors = inspect_bus(link).motors
-    if len(motors) < robot.n_joints:
-        raise InputError(
-            f"motors that answer: {len(motors)}, but the model's chain has "
-            f"{count_text(robot.n_joints, 'joint')}"
-        )
-    for motor in motors.values():
-        if motor.feedback is None or motor.feedback.status[0] == protocol.ENABLED:
-            raise HardwareAbort(
-                f"{motor.name} is enabled or does not tell; the arm has to be limp"
-            )
+    turned: list[tuple[DamiaoJoint, float]] = []
+    for name, movement in zip(robot.joint_names, movement_texts(robot)):
+        remaining = arm.motors.keys() - {joint.can_id for joint, _ in turned}
+        can_id, direction, end = _find_motor(name, movement, remaining, arm.positions)
+        master_id = arm.motors[can_id].master_id
+        joint = DamiaoJoint("", can_id, master_id, name, direction, verified=BY_HAND)
+        turned.append((joint, end))
+    return turned
 
-    def read_positions() -> Positions:
-        """Return the present position of each motor [rad]; HardwareAbort where one is silent."""
-        positions = {}
-        for can_id, motor in motors.items():
-            state = client.state_of(motor)
-            if state is None:
-                raise HardwareAbort(
-                    "a motor does not answer any more; nothing was written"
-                )
-            positions[can_id] = state.position[0]
-        return positions
 
-    # CAN id, direction and last position of each joint's motor.
-    found: list[tuple[int, int, float]] = []
+def zeros_at_pose(
+    arm: LimpArm, robot: RobotModel, turned: Sequence[tuple[DamiaoJoint, float]]
+) -> list[DamiaoJoint]:
+    """Return joints with the zeros that a person shows by putting the arm into the model's pose.
+
+    HardwareAbort where a joint would then have been moved to where its range does not reach.
+
+    Args:
+        arm: the limp arm.
+        robot: model of the arm with n joints.
+        turned: joints (n,), each with the position to which its motor was turned [rad].
+    """
     names = robot.joint_names
-    for name, movement in zip(names, movement_texts(robot)):
-        remaining = motors.keys() - {can_id for can_id, *_ in found}
-        found.append(_find_motor(name, movement, remaining, read_positions))
     pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(names, robot.reference))
     ask(
         f"put the arm into the model's own pose ({pose} rad or m) and hold it there; then press "
         "Enter: "
     )
-    positions = read_positions()
-    for j, (can_id, direction, end) in enumerate(found):
-        offset = round(positions[can_id] - direction * robot.reference[j], 4)
-        reached = direction * (end - offset)
+    positions = arm.positions()
+    joints = []
+    for j, (joint, end) in enumerate(turned):
+        position = positions[joint.can_id]
+        offset = round(position - joint.direction * robot.reference[j], 4)
+        reached = joint.direction * (end - offset)
         # A pose is made by hand to some tenth of a radian; each joint was moved by more.
         if abs(reached - robot.limits.center[j]) > robot.limits.span[j] + 0.2:
             raise HardwareAbort(
-                f"joint {names[j]} would have been moved to {reached:.2f} rad, which is not in its "
-                "range: it went the other way than was said, or the pose is another; nothing was "
-                "written, begin again"
+                f"joint {joint.name} would have been moved to {reached:.2f} rad, which is not in "
+                "its range: it went the other way than was said, or the pose is another; nothing "
+                "was written, begin again"
             )
-        master_id = motors[can_id].master_id
-        yield DamiaoJoint("", can_id, master_id, names[j], direction, offset, BY_HAND)
+        joints.append(replace(joint, offset=offset))
+    return joints
 
 
 def _find_motor(
