@@ -59,6 +59,7 @@ def zeros_at_stops(
         InputError: something else than was asked for was typed.
         HardwareAbort: a motor does not answer, or a joint's span contradicts the model.
     """
+    session.console.stage("the motors are off and the arm is limp: support it")
     has_range = robot.limits.has_range.tolist()
     zeros: dict[str, RenewedZero] = {}
     for j, joint in enumerate(joints):

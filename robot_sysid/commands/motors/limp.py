@@ -18,6 +18,8 @@ from robot_sysid.records.messages import count_text
 Positions = Mapping[int, float]
 """Position of each motor [rad], by its CAN id."""
 Answer = TypeVar("Answer")
+FOLLOWER = "follow motors"
+"""Name of the thread that follows the motors while a person is waited for."""
 # Time between two looks at a joint that is pushed [s]: a person holds it for longer.
 _LOOK = 0.02
 
@@ -102,7 +104,7 @@ class LimpArm:
             except Exception as error:
                 failures.append(error)
 
-        thread = threading.Thread(target=follow, daemon=True)
+        thread = threading.Thread(target=follow, name=FOLLOWER, daemon=True)
         thread.start()
         try:
             answer = waiting()
