@@ -34,7 +34,6 @@ from robot_sysid.damiao.safety.holding import (
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     HoldOptions,
-    MoveOptions,
     Plan,
     PlaySettings,
     RecordingOptions,
@@ -176,17 +175,6 @@ class MotorRun:
         )
         # The arm stays where it was inspected.
         return self._plan_of(trajectory, start_tolerance=0.05)
-
-    def moving_plan(self, inspection: Inspection = _NOTHING) -> Plan:
-        """Return the plan that moves the model's arm from where an inspection finds it to a pose.
-
-        Errors are those of ``standing_plan`` and ``goal_pose``.
-        """
-        from robot_sysid.damiao.moving import goal_pose, moving_plan
-
-        words = record_from(MoveOptions, self.values).to
-        goal = goal_pose(self.robot, words)
-        return moving_plan(self.standing_plan(inspection), self.robot, goal)
 
     def _plan_of(self, trajectory: DamiaoTrajectory, **settings: Any) -> Plan:
         """Return the plan of a trajectory, with its joints mapped; ``settings`` are no options."""

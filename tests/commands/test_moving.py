@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from rigs import arms
+from rigs.clocks import heard_signals
 from rigs.command_line import fail, run_motors, succeed
 from rigs.damiao_rig import MotorBus, only_asks, trajectory_of, with_coarse_physics
 from rigs.recordings import read_recording
 from rigs.wrong_arms import resting_torque
+from robot_sysid.commands.motors.moving import goal_pose, moving_activity, moving_plan
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.moving import goal_pose, moving_activity, moving_plan
 from robot_sysid.damiao.protocol import DISABLED
 from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.holding import gravity_holding
@@ -98,7 +99,7 @@ def test_the_motion_that_is_played_is_the_checked_one(start, goal, sunk):
     plan = plan_between(start, goal)
     holding = gravity_holding(ROBOT, plan.trajectory.joints)
     activity = moving_activity(plan, holding, "goal")
-    standing = Reference(start + sunk, 0.0 * sunk, holding.torque(start + sunk))
+    standing = Reference.resting(start + sunk, holding)
     reference = activity.begin(standing)
     for time, checked in zip(plan.trajectory.time[::40], plan.trajectory.q[::40]):
         played = reference(time)
@@ -112,13 +113,14 @@ def test_the_motion_that_is_played_is_the_checked_one(start, goal, sunk):
 
 
 @pytest.fixture
-def bus(monkeypatch, heard):
+def bus(monkeypatch):
     """The arm of the model with motors, which stands in a pose that is no keyframe."""
     mechanism = ArmStepper(ROBOT, START, 2e-3)
     joints = damiao_joints(["DM4340"] * 2, 2)
     bus = MotorBus(joints, mechanism, watchdog=0.15, echo=True)
     bus.arm.takes_whole_steps = True
-    return bus.open_for_commands(monkeypatch)
+    with heard_signals():
+        yield bus.open_for_commands(monkeypatch)
 
 
 def last_position(bus):
@@ -218,6 +220,7 @@ def test_a_simulated_arm_is_moved_and_the_printed_command_moves_the_real_one(
     assert step.startswith(f"  robot-sysid plan {model} --for arm --export-damiao")
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_not_its_model_s_is_stopped_and_held(
     capsys, bus, arm_file, monkeypatch
 ):
