@@ -302,6 +302,7 @@ class OwnBus:
 
     def __init__(self, motors, advance, fd=False, has_echo=True):
         self.clock = SimulatedClock()
+        self.error_frames = 0
         # Motors compare the low eight bits of an id only.
         self._listeners = {}
         for motor in motors:

@@ -103,20 +103,24 @@ def can_message(frame: CanFrame, **stamp: Any) -> Any:
     )
 
 
-@dataclass
 class BusLink:
     """A link over an open bus of python-can.
 
-    Attributes:
+    Args:
         bus: the open bus, which ``close`` closes.
         clock: clock in which the times of frames and deadlines are given.
+
+    Attributes:
+        bus: as given.
+        clock: as given.
         error_frames: number of error frames so far. SocketCAN's adapters report them; the serial
             ones do not.
     """
 
-    bus: Any
-    clock: SystemClock
-    error_frames: int = 0
+    def __init__(self, bus: Any, clock: SystemClock) -> None:
+        self.bus = bus
+        self.clock = clock
+        self.error_frames = 0
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame; LinkError where the bus does not take it for 1.5 ms."""
