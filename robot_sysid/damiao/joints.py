@@ -38,6 +38,7 @@ from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Limits
 from robot_sysid.records.file_access import read_text, write_atomically
+from robot_sysid.records.usual_errors import LARGEST_FRICTION, LARGEST_FRICTION_SHARES
 from robot_sysid.wording import option_name
 
 RPM = math.tau / 60.0
@@ -83,6 +84,12 @@ def motor_spec(name: str) -> MotorSpec:
             f"unknown Damiao motor type {name!r}; valid types: {', '.join(MOTORS)}"
         )
     return MOTORS[name]
+
+
+def largest_friction(joints: Sequence[DamiaoJoint]) -> Array:
+    """Return the largest friction (n,) that nobody knows of joints with motors of a type [N m]."""
+    least, most = np.outer(LARGEST_FRICTION_SHARES, peak_torques(joints))
+    return np.clip(LARGEST_FRICTION, least, most)
 
 
 def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus import Inspection
-from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting, peak_torques
+from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting, largest_friction
 from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import InputError
@@ -26,7 +26,7 @@ from robot_sysid.records.option_fields import (
     option,
     options_of_all,
 )
-from robot_sysid.records.usual_errors import MOTOR_FRICTION, WEIGHT
+from robot_sysid.records.usual_errors import WEIGHT
 from robot_sysid.wording import option_name
 
 # Arguments of options whose default depends on the type of each motor.
@@ -329,7 +329,7 @@ class Plan:
         if error is None:
             error = WEIGHT * np.abs(trajectory.tau)
         largest = np.max(INTERVAL * error, axis=0)
-        return largest + MOTOR_FRICTION * peak_torques(trajectory.joints)
+        return largest + largest_friction(trajectory.joints)
 
     @property
     def duration(self) -> float:

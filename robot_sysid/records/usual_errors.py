@@ -66,9 +66,12 @@ logs of a UR10e differ by 2.5 standard errors of a single one."""
 FRICTION_DRIFT = 2.0 * FRICTION_CHANGE
 """Relative drift of friction from the middle of several logs to an end."""
 
-MOTOR_FRICTION = 0.1
-"""Largest friction of a joint that nobody knows, over its motor's peak torque. Owners of OpenArms
-measure 1 to 4 % (0.31 N m of 40 at the shoulder, 1.2 of 27 at 1 rad/s at the elbow)."""
+LARGEST_FRICTION = 1.5
+"""Largest friction of a joint with a small motor that nobody knows, as it breaks loose [N m]: an
+OpenArm's elbow needs 1.2 at 1 rad/s, wrists of arms of other makers 1."""
+LARGEST_FRICTION_SHARES = (0.05, 0.25)
+"""Least and greatest share of a motor's peak torque that this is: 0.31 N m of 40 at an OpenArm's
+shoulder and 1.2 of 27 at its elbow; a motor of 3 N m is not sold for a joint that takes half."""
 
 # ---- sensors and base
 

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.joints import DamiaoJoint, largest_friction
 from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.health import BusHealth
@@ -47,7 +47,6 @@ from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 from robot_sysid.records.levels import INTERVAL
-from robot_sysid.records.usual_errors import MOTOR_FRICTION
 
 # Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s;
 # with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
@@ -148,7 +147,7 @@ class Watch:
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # The largest friction of a joint that nobody knows.
-        self._friction = MOTOR_FRICTION * peak_torque
+        self._friction = largest_friction(joints)
         # Means over 0.1 s (9, n) of: the change of velocity from sample to sample, between which it
         # is not known; change of position, reported and commanded velocity; reported and commanded
         # torque, fed torque, the torque that the position control adds, and the sign of the
@@ -260,7 +259,7 @@ class Watch:
             tracking = self.standing_limit(q, acted.position, acted.torque)
         # A standing joint has no friction that reverses, so its bound is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
-        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.2 * peak)
+        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.25 * peak)
         torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
         # Measured, expected and bound of each of ``_ROWS``.
         rows = [
