@@ -7,6 +7,7 @@ two of them, and stops the run where they differ by more than the row's bound:
 position   reported                                      commanded, in each cycle
 speed      of the reported positions, over 0.1 s         commanded
 speed      of the reported positions, over 0.1 and 1 s   reported
+speed      the same over 1 s, with its sign              reported
 torque     reported, over 0.1 and 1 s                    commanded
 torque     reported, over 0.1 s                          fed forward
 torque     commanded, over 0.1 s                         needed in the last second
@@ -52,11 +53,18 @@ from robot_sysid.records.levels import INTERVAL
 # with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
 _SHORT = 0.05
 _LONG = 1.0
+# What the signed means of a joint's two speeds over a second may differ by: in any case [rad/s],
+# four times as much as in the worst of 48 undisturbed runs; by a velocity that is filtered [s]; and
+# by the velocity's scale.
+_DRIFT = 0.01
+_LATE = 0.01
+_SCALE = 0.03
 # Rows of the watch: which of the three disagrees, then its two numbers.
 _ROWS = (
     "position: it is at {:.3f} rad, and commanded to {:.3f}",
     "speed: it moves at {:.2f} rad/s, and is commanded {:.2f}",
     "speed: its positions change by {:.2f} rad/s, and it reports {:.2f}",
+    "speed: in a second its positions change by {:.3f} rad/s, and it reports {:.3f}",
     "speed: in a second its positions change by {:.3f} rad/s, and it reports {:.3f}",
     "torque: it reports {:.1f} N·m, and is commanded {:.1f}",
     "torque: in a second it reports {:.2f} N·m, and is commanded {:.2f}",
@@ -153,6 +161,9 @@ class Watch:
         # torque, fed torque, the torque that the position control adds, and the sign of the
         # commanded velocity. Means over 1 s of these means, the first six as absolute values.
         self._short, self._long = np.zeros((2, 9, n_joints))
+        # Means over 1 s (2, n) of the change of position and of the reported velocity, with their
+        # signs: of a joint that moves to and fro, what only the positions do is left.
+        self._drift = np.zeros((2, n_joints))
         # Answers in a row with the same position and velocity, and commanded position and torque
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
@@ -239,6 +250,7 @@ class Watch:
         means = np.vstack([np.abs(self._short[:6]), self._short[6:]])
         share = -np.expm1(-passed / _LONG) * is_usable
         self._long += share * (means - self._long)
+        self._drift += share * (self._short[1:3] - self._drift)
         if phase.rises:
             self._long[6:] = self._short[6:]
 
@@ -253,6 +265,15 @@ class Watch:
         turn, way, speed, led, tau, commanded, fed, added, _ = self._short
         _, long_way, long_speed, _, long_tau, long_commanded, long_fed, _, _ = (
             self._long
+        )
+        drift_way, drift_speed = self._drift
+        # Positions that drift are not in these velocities. A right arm differs by a late velocity,
+        # by its scale, and by rounding where it moves slowly.
+        drift_bound = (
+            _DRIFT
+            + _LATE * np.abs(speed - drift_speed)
+            + _SCALE * np.abs(drift_speed)
+            + 0.5 * self._velocity_step
         )
         tracking = np.array(settings.tracking)
         if phase.stands:
@@ -275,6 +296,7 @@ class Watch:
                 self._slowed_speed(long_way, long_speed),
                 0.02 + 0.03 * long_speed + 0.5 * (self._velocity_step + self._long[0]),
             ),
+            (drift_way, self._slowed_speed(drift_way, drift_speed), drift_bound),
             (tau, commanded, 0.15 * peak + 4.0 * self._torque_step),
             (long_tau, long_commanded, 0.1 * long_commanded + torque_floor),
             # More than any excitation needs.
@@ -288,11 +310,11 @@ class Watch:
         ]
         measured, expected, bounds = map(np.array, zip(*rows))
         if phase.rises:
-            bounds[6:] = np.inf
+            bounds[7:] = np.inf
         if phase.settles:
-            bounds[7] = np.inf
+            bounds[8] = np.inf
         # Samples say nothing of a joint that may come to rest within each cycle.
-        bounds[2:4, self._slowed > 2.0] = np.inf
+        bounds[2:5, self._slowed > 2.0] = np.inf
         residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
         self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
         excess = residuals / bounds

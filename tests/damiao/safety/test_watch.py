@@ -226,6 +226,8 @@ def test_an_arm_that_does_as_it_should_is_left_alone():
         ({"torque": 0.8}, "torque: in a second it reports"),
         ({"torque": 1.25}, "torque: in a second it reports"),
         ({"slip": 0.3}, "speed: its positions change by"),
+        ({"slip": 0.06}, "speed: in a second its positions change by"),
+        ({"slip": -0.06}, "speed: in a second its positions change by"),
         ({"off": lambda t: -0.09 * np.clip(t - 1.0, 0.0, 1.0)}, "torque: it needs"),
         ({"frozen_after": 0.5}, "position: it reports"),
     ],
@@ -240,6 +242,7 @@ def test_a_signal_that_is_wrong_stops_the_joint_with_its_name(wrong, words, miss
 @pytest.mark.parametrize(
     "right",
     [
+        {"slip": 0.015},
         {"velocity": 0.98},
         {"velocity": 1.02},
         {"torque": 0.9},
@@ -251,6 +254,14 @@ def test_a_signal_that_is_wrong_stops_the_joint_with_its_name(wrong, words, miss
 )
 def test_below_its_bound_a_signal_stops_nothing(right):
     assert words_of(swing(seconds=6.0, **right), max_missed=50) is None
+
+
+@pytest.mark.parametrize("rate", [-0.06, 0.06])
+def test_a_position_that_drifts_in_spite_of_its_velocity_is_found_in_time(rate):
+    """Before it is 0.15 rad off; its joint moves to and fro ten times as fast."""
+    cycles = [*swing(seconds=6.0, slip=rate)]
+    within = round(0.15 / abs(rate) / CYCLE)
+    assert words_of(cycles[:within], max_missed=50) is not None
 
 
 def test_a_single_wrong_sample_stops_nothing():
