@@ -98,6 +98,16 @@ def test_a_gear_that_slips_is_found_while_it_slips(mounted_arm, seed, speed):
     assert shift == pytest.approx(speed * (time - 4.0), abs=0.2)
 
 
+@pytest.mark.parametrize("seed", SEEDS[:5])
+@pytest.mark.parametrize("speed", [-0.06, 0.06])
+def test_a_position_that_drifts_slowly_is_found(mounted_arm, seed, speed):
+    """Before it is 0.25 rad off."""
+    run = play_motion(mounted_arm, seed, 0.15, slip=speed, since=2.0)
+    time, joint, shift = finding(mounted_arm, run)
+    assert 2.0 < time < 2.0 + 0.25 / abs(speed) and joint == 1
+    assert shift == pytest.approx(speed * (time - 2.0), abs=0.1)
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("load", "since"), [(0.0, 0.0), (2.0, 0.0), (2.0, 4.0)])
 def test_links_and_loads_that_are_off_are_no_moved_zero(arm, seed, load, since):
