@@ -144,6 +144,11 @@ class Plant:
         self.external = [0.0] * n
         self.brake = [0.0] * n
 
+    def set_velocity(self, qd):
+        """Let the joints move with velocities qd (n,) [rad/s]."""
+        self._data.qvel[self._dofs] = qd
+        self._read_state()
+
     def _begin_friction(self, friction):
         n = self.robot.n_joints
         unit = np.eye(self._model.nv)[self._dofs]

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 
 from rigs import own_motors
-from rigs.arm_faults import pull, restart_motor, shift_report
+from rigs.arm_faults import pull, restart_motor, shift_report, table_faults
 from rigs.arms import SEVEN_AXES, robot_of, serial_arm
 from rigs.own_motors import OwnMotor, pack_command, pack_feedback, unpack_command
-from rigs.sound_arms import STEP, Arm, JointFriction, Plant, bus_of, draw_friction
+from rigs.sound_arms import (
+    STEP,
+    Arm,
+    JointFriction,
+    Plant,
+    bus_of,
+    draw_friction,
+    drawn_links,
+)
 from rigs.sound_runs import (
     COMPLETED,
     SOUND_ARMS,
@@ -22,6 +30,7 @@ from rigs.sound_runs import (
     run_arm,
     twin_of,
 )
+from rigs.wrong_arms import link_torque
 from robot_sysid.damiao.protocol import (
     CanFrame,
     MitCommand,
@@ -29,7 +38,6 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     encode_mit,
 )
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.records import Motion
 
 DM4340 = (12.5, 10.0, 28.0)
@@ -126,20 +134,39 @@ def _no_friction(n):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_plant_accelerates_as_the_models_dynamics_say(seed):
+def test_the_plant_accelerates_as_the_true_links_say(seed):
     rng = np.random.default_rng(seed)
     robot = robot_of(serial_arm(SEVEN_AXES))
     n = robot.n_joints
-    q = rng.uniform(-1.0, 1.0, n)
+    q, qd = rng.uniform(-1.0, 1.0, (2, n))
     tau = rng.uniform(-5.0, 5.0, n)
-    plant = Plant(robot, q, _no_friction(n))
+    links = drawn_links(robot, seed)
+    rotors = rng.uniform(0.002, 0.02, n)
+    plant = Plant(robot, q, _no_friction(n), links, rotors)
+    plant.set_velocity(qd)
     plant.step(tau.tolist(), [0.0] * n)
-    qdd = np.array(plant.qd) / STEP
-    motion = Motion(np.zeros(1), q[None], np.zeros((1, n)), qdd[None])
-    friction = robot.friction
-    assert not np.any(friction.coulomb) and not np.any(friction.viscous)
-    needed = np.asarray(ArmDynamics(robot)(motion))[0]
+    qdd = (np.array(plant.qd) - qd) / STEP
+    motion = Motion(np.zeros(1), q[None], qd[None], qdd[None])
+    needed = link_torque(robot, motion, links)[0] + (robot.armature + rotors) * qdd
     assert np.abs(needed - tau).max() < 1e-9 * np.abs(tau).max()
+
+
+def test_a_carried_mass_and_a_tilt_are_felt():
+    robot = robot_of(serial_arm(SEVEN_AXES))
+    n = robot.n_joints
+    q = np.full(n, 0.5)
+    ends = []
+    for change in (
+        lambda plant: None,
+        lambda plant: plant.carry(0.7),
+        lambda plant: plant.tilt(math.radians(20.0)),
+    ):
+        plant = Plant(robot, q, _no_friction(n))
+        change(plant)
+        plant.step([0.0] * n, [0.0] * n)
+        ends.append(np.array(plant.qd))
+    assert np.abs(ends[1] - ends[0]).max() > 1e-4
+    assert np.abs(ends[2] - ends[0]).max() > 1e-4
 
 
 def _creeping_joint(force):
@@ -189,6 +216,38 @@ def test_an_arm_is_supported_until_a_motor_is_enabled():
     bus.send(CanFrame(1, ENABLE))
     arm.advance(0.4)
     assert np.ptp(arm.path, axis=0).max() > 0.01
+
+
+@pytest.mark.parametrize("number", range(len(table_faults(1, 4))))
+def test_each_fault_changes_what_an_arm_does_or_says(number):
+    fault = table_faults(1, 4)[number]
+    outcomes = []
+    for act in (lambda arm: None, fault.act):
+        arm = _held_arm()
+        arm.at(0.1, act)
+        arm.advance(0.1 + STEP)
+        said = []
+        for moment in np.arange(0.11, 0.25, 0.01):
+            arm.advance(moment)
+            said += [m.answer(m.can_id, m.held, moment) for m in arm.motors]
+        outcomes.append((arm.path, said))
+    assert outcomes[0] != outcomes[1]
+    assert np.all(np.isfinite(outcomes[1][0]))
+
+
+def _held_arm():
+    """Return an arm that motors begin to hold a little beside where it is."""
+    robot = robot_of(serial_arm(SEVEN_AXES))
+    n = robot.n_joints
+    friction = draw_friction(np.ones(n), np.random.default_rng(0))
+    limits = (12.5, 45.0, 54.0)
+    motors = [OwnMotor(i, 0x10 + i, limits, 40.0, 0.0) for i in range(1, n + 1)]
+    arm = Arm(Plant(robot, np.full(n, 0.4), friction), motors)
+    for motor in motors:
+        motor.answer(motor.can_id, ENABLE, 0.0)
+        motor.held = pack_command((0.5, 0.1, 100.0, 2.0, 0.5), limits)
+        motor.answer(motor.can_id, motor.held, 0.0)
+    return arm
 
 
 # --- runs -----------------------------------------------------------------------------------------
