@@ -5,11 +5,11 @@ Run from the checkout:
     ... --arms kinova --only "kd is ignored" "motor starts again" --lines 6
     ... --list                             # names of all faults
 
-Each fault happens to a sound arm that plays a planned motion (see ``rigs.sound_arms``; nothing of
-the package's own simulation is in it), by default with a model. Printed are the largest departure
-of a true joint position from the undisturbed run of the same arm until no motor makes torque any
-more, that since the stop began, how long after the fault that is, how the run ended, and the last
-lines that were printed.
+Each fault happens to a sound arm that plays and records a planned motion, by default with a model
+(see ``rigs.sound_arms``; nothing of the package's own simulation is in it). Printed are the largest
+departure of a true joint position from the undisturbed run of the same arm until no motor makes
+torque any more, that since the stop began, how long after the fault that is, how the run ended, and
+the last lines that were printed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rigs.sound_runs import (
 ARMS = ("kinova", "fr3")
 DURATION = 6.0
 """Length of the motion at full speed [s]: torque that fades to half needs five."""
-LINES = 5
+LINES = 4
 
 
 def faults_of(arm: str, folder: Path) -> list[ArmFault]:
@@ -103,6 +103,7 @@ def main() -> int:
                 kp=arguments.kp,
                 has_model=has_model,
                 duration=DURATION,
+                records=True,
             )
             names = [fault.name for fault in faults_of(arm, folder)]
             cases += [

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -247,6 +248,7 @@ class RunOptions:
         speed, rate, kp: as the options of ``motors play``; None for the command's default.
         has_model: whether the player has the model.
         duration: of the planned motion at full speed [s].
+        records: whether the run is recorded.
     """
 
     arm: str
@@ -256,6 +258,7 @@ class RunOptions:
     kp: float | None = None
     has_model: bool = True
     duration: float = 6.0
+    records: bool = False
 
     @property
     def is_fd(self):
@@ -268,7 +271,7 @@ def draw_options(name, folder, seed, speed, has_model, duration=6.0):
 
     A stiffness with which it would sag out of its tolerance is raised.
     """
-    rng = np.random.default_rng([seed, 3])
+    rng = np.random.default_rng([seed, 3, *name.encode()])
     rate = math.exp(rng.uniform(math.log(LEAST_RATE), math.log(MOST_RATE)))
     stiffness = rng.uniform(LEAST_STIFFNESS, MOST_STIFFNESS)
     planned = planned_motion(name, folder, duration)
@@ -437,12 +440,15 @@ def run_arm(options, folder, fault=None):
         values["kp"] = (options.kp,)
     if options.has_model:
         values |= {"model": planned.model, **planned.joint_option}
+    if options.records:
+        record = planned.path.with_name(f"measured_{os.getpid()}.csv")
+        values |= {"record": record, "overwrite": True}
     session = OwnSession(values, console, bus, planned.robot)
     code = 0
     try:
         code = play(session)
         message = session.verdict[0]
-        console.stage(*session.verdict)
+        console.stage(message)
         ending = COMPLETED
     except SysidError as error:
         code = error.exit_code

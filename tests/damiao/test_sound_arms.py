@@ -253,9 +253,9 @@ def _held_arm():
 # --- runs -----------------------------------------------------------------------------------------
 
 FAST_RUNS = (
-    RunOptions("kinova", 1, speed=1.0, rate=100.0, kp=60.0, duration=SHORT),
-    RunOptions("kinova", 2, speed=0.5, rate=60.0, kp=90.0, duration=SHORT),
-    RunOptions("kinova", 3, 0.5, 60.0, 40.0, has_model=False, duration=SHORT),
+    RunOptions("kinova", 1, speed=1.0, rate=60.0, kp=60.0, duration=SHORT),
+    RunOptions("kinova", 2, speed=0.5, rate=50.0, kp=90.0, duration=SHORT),
+    RunOptions("kinova", 3, 1.0, 50.0, 40.0, has_model=False, duration=SHORT),
 )
 
 
