@@ -77,12 +77,14 @@ class PublicArm:
         model: its file.
         joint: its terminal joint; "" where it has one only.
         motors: types of its motors, base first; by default the weakest that are strong enough.
+        excitation: how ``plan`` finds its motion.
         wrist_damping: of the model's motors DM4310 in place of the file's [N m s/rad].
     """
 
     model: Path
     joint: str = ""
     motors: tuple[str, ...] = ()
+    excitation: str = "sines"
     wrist_damping: float | None = None
 
     @property
@@ -105,6 +107,8 @@ _OPENARM = PublicArm(
     MODELS / "openarm_v2" / "openarm_bimanual.xml",
     "openarm_left_joint7",
     _OPENARM_MOTORS,
+    # Random sines that touch nothing are so small here that its damping is not felt.
+    "optimal --excitation-time-budget 20",
 )
 SOUND_ARMS = {
     "kinova": PublicArm(GUESS, motors=_KINOVA_MOTORS),
@@ -174,7 +178,7 @@ def planned_motion(name, folder, duration=6.0, seed=0):
     coefficients = target / "plan.json"
     if not coefficients.exists():
         _command(
-            f"plan {model} {joint} --for arm --excitation sines --duration {duration:g} "
+            f"plan {model} {joint} --for arm --excitation {arm.excitation} --duration {duration:g} "
             f"--seed {seed} --output-dir {target} --save-trajectory {coefficients}"
         )
     robot = load_robot_model(model, max_velocity=math.inf, joint=arm.joint or None)
