@@ -230,6 +230,9 @@ class Watch:
         passed, way, turn = sample - self._last
         is_usable = replies.answered & (passed > 0.0)
         passed = np.where(is_usable, passed, 1.0)
+        # A command is held for a cycle, at whose end the joint is sampled: it has moved on for half
+        # a cycle since the mean, and stiffness makes that much less torque.
+        hold_loss = 0.5 * self._settings.period * acted.kp * feedback.velocity
         signals = np.array(
             [
                 np.abs(turn),
@@ -239,7 +242,7 @@ class Watch:
                 feedback.torque,
                 np.clip(commanded, -self._peak, self._peak),
                 acted.torque,
-                commanded - acted.torque,
+                commanded - acted.torque + hold_loss,
                 np.sign(acted.velocity)
                 * (np.abs(acted.velocity) > self._velocity_step),
             ]
