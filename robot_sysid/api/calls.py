@@ -286,14 +286,18 @@ def payload(
     (*options_of_all(ModelOptions, only=OF_LOG), *options_of_all(LogOptions))
 )
 def check(
-    model: Model, log: Log | Sequence[Log], since: Log | Sequence[Log], **options: Any
+    model: Model,
+    log: Log | Sequence[Log],
+    since: Log | Sequence[Log] = (),
+    **options: Any,
 ) -> Check:
-    """Tell whether an arm is what it was: its load, friction, zeros and torque sensors.
+    """Tell whether an arm is what it was, or what its model says: load, friction, zeros, sensors.
 
     Args:
         model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
         log: of any motion, such as of a task, see ``robot_sysid.Log``; or several.
-        since: an earlier log, or several; or the path of the folder of a run of ``identify``.
+        since: an earlier log, or several; or the path of the folder of a run of ``identify``. By
+            default the log is compared with the model.
         options: what ``ModelOptions`` and ``LogOptions`` take; those of logs are for ``log`` alone.
 
     Returns:

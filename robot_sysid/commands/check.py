@@ -1,4 +1,4 @@
-"""``robot-sysid check MODEL LOG --since EARLIER``: whether an arm is what it was."""
+"""``robot-sysid check MODEL LOG``: whether an arm is what its model says, or what it was."""
 
 from __future__ import annotations
 
@@ -20,15 +20,26 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     from robot_sysid.pipeline.comparison import check_log
 
     options = dict(values)
-    since = options.pop("since")
+    since = options.pop("since", ())
     config = IdentifyConfig.of(measurements=options.pop("log"), **options)
     result = check_log(config, since, console)
-    rows = [["change of", "", "value", "±", "named from", ""]]
+    rows = [
+        [
+            "change of" if since else "differs from the model",
+            "",
+            "value",
+            "±",
+            "named from",
+            "",
+        ]
+    ]
     for row in result.changes:
         error = row.error or 0.0
         numbers = [number_text(n, error) for n in (row.value, error, row.least)]
         rows.append([row.of, row.name, *numbers, f"{row.unit} {row.reason}".strip()])
-    console.stage(*aligned_lines(rows, ("value", "±", "named from")))
+    if result.changes:
+        console.stage(*aligned_lines(rows, ("value", "±", "named from")))
+    console.note(*result.notes)
     console.stage(*result.verdict)
     console.result(vars(result))
     return int(result.has_changed)
@@ -39,14 +50,16 @@ COMMANDS = (
         "check",
         "check arm.xml today.csv --since log.csv",
         "Tell whether an arm is what it was, its load, friction, zeros and torque sensors, by a "
-        "log of any motion, such as of a task, and an earlier one. The exit code is 1 where "
-        "something has changed.",
+        "log of any motion, such as of a task, and an earlier one; without --since, whether it is "
+        "what its model says. The exit code is 1 where something has changed, or differs from the "
+        "model by more than models usually do.",
         {
             "": (*MODEL, LOG),
             "earlier log": (
                 Option(
                     "--since",
-                    "earlier log, or the folder of a run of identify on it",
+                    "earlier log, or the folder of a run of identify on it; without it the log is "
+                    "compared with the model",
                     metavar="EARLIER",
                     parse=Path,
                     takes_many=True,
@@ -56,7 +69,6 @@ COMMANDS = (
             "log": options_of_all(LogOptions),
         },
         run,
-        required=("since",),
         interrupted="interrupted; nothing was written",
     ),
 )

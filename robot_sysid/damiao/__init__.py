@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -19,6 +20,7 @@ import numpy as np
 from robot_sysid.api.keywords import with_keywords
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.checks.after_run import judge_run, recorded_plan
 from robot_sysid.damiao.checks.preflight import motor_ratings, require_playable
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.player import PlayReport, StopRequest
@@ -95,9 +97,10 @@ def play(
             ``park="rest"`` or ``record="measured.csv"``.
 
     Returns:
-        A report with number of cycles, lateness [s], the largest tracking error of each joint [rad]
-        and how the motors answered. A recording is not to be used where its ``confirmed_reports``
-        name a fault that a motor reported again and again while it was driving.
+        A report with number of cycles, lateness [s], largest tracking error of each joint [rad],
+        how the motors answered, and what the recording says of the arm. A recording is not to be
+        used where its ``confirmed_reports`` name a fault that a motor reported again and again
+        while it was driving.
 
     Raises:
         InputError: an option or a file cannot be used.
@@ -113,14 +116,20 @@ def play(
 
             values["model"] = path_of(model)
         run = execution.MotorRun(values)
-        plan = run.plan()
-        with run.open_simulated(plan) if simulate else run.open_guarded() as link:
-            inspection = inspect_bus(link)
-            # The signs of a simulated arm's motors are not in doubt.
-            checks = run.inspection_checks(plan, inspection, real=not simulate)
-            require_playable([*run.checks(plan), *checks])
-            holding = run.holding(plan)
-            return execution.run(link, plan, inspection, StopRequest(), say, holding)
+        stated_plan = run.plan()
+        with recorded_plan(stated_plan) as plan:
+            opened = run.open_simulated(plan) if simulate else run.open_guarded()
+            with opened as link:
+                inspection = inspect_bus(link)
+                # The signs of a simulated arm's motors are not in doubt.
+                checks = run.inspection_checks(plan, inspection, real=not simulate)
+                require_playable([*run.checks(plan), *checks])
+                holding = run.holding(plan)
+                report = execution.run(
+                    link, plan, inspection, StopRequest(), say, holding
+                )
+            said = judge_run(plan, values)
+        return replace(report, findings=said.lines, is_as_expected=not said.differs)
 
 
 @contextlib.contextmanager

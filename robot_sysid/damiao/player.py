@@ -118,6 +118,9 @@ class PlayReport:
         reports: how often each of the n motors answered with a status code other than "enabled", by
             code, whether the answer was used or not.
         error_frames: number of error frames on the bus, as far as the adapter reports them.
+        findings: what the recording says of the arm, a sentence each.
+        is_as_expected: whether the recording contradicts neither itself nor the model by more than
+            models are usually off.
     """
 
     cycles: int
@@ -131,6 +134,8 @@ class PlayReport:
     refused: Codes
     reports: tuple[Mapping[int, int], ...]
     error_frames: int
+    findings: tuple[str, ...] = ()
+    is_as_expected: bool = True
 
     @property
     def lost(self) -> Codes:

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import COULOMB, OFFSET
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinksMotion,
@@ -270,7 +271,7 @@ def explanations(fitted: Fit) -> list[Explanation]:
         shares = fitted.sums.is_of(log) * (1.0 if own is None else own)
         acting = replace(each.effect, shares=shares)
         in_logs.append(replace(each, effect=acting, log=log))
-    return [*every, *in_logs, *changes_of_load(fitted)]
+    return [*every, *in_logs, *changes_of_load(fitted), *changes_of_joints(fitted)]
 
 
 def effect(
@@ -502,5 +503,61 @@ def changes_of_load(fitted: Fit) -> Iterator[Explanation]:
                 "kg",
                 Level.REFUSES,
                 relative_error=error,
+                choices=len(blocks),
+            )
+
+
+def changes_of_joints(fitted: Fit) -> Iterator[Explanation]:
+    """Yield what begins at a joint in the middle of a log, of an arm that is compared with a model.
+
+    Such a log is a single run: a cable that catches, a brake, a motor that gets weaker.
+    """
+    if fitted.question.differing is None:
+        return
+    joints = fitted.arm.joints
+    logs = fitted.sums.logs
+    blocks = np.arange(len(logs))
+    strongest = float(np.max(fitted.sums.rms_torque))
+    terms = fitted.arm.terms
+    scales = terms[SCALES].names
+    since = "from a moment of the run on"
+    for first in blocks[1:].tolist():
+        if logs[first] != logs[first - 1]:
+            continue
+        is_after = fitted.sums.is_of(logs[first]) & (blocks >= first)
+        after = is_after.astype(float)
+        yield Explanation(
+            "torque-scale",
+            Effect(scales, np.full((len(scales), 1), 0.3), None, after),
+            f"{since}, the torque of all joints reads {{value}} {{more|less}}",
+            "look after the motors' supply and temperature",
+            "%",
+            choices=len(blocks),
+        )
+        for joint, name in enumerate(joints):
+            unit = torque_unit(name in fitted.arm.robot.slides)
+            yield Explanation(
+                "torque-scale",
+                effect([SCALE.key_of(name)], 0.4, joint, after),
+                f"{since}, the torque of {name} reads {{value}} {{more|less}} for what it moves",
+                "look after the joint's motor",
+                "%",
+                choices=len(blocks),
+            )
+            yield Explanation(
+                "force",
+                effect([OFFSET.key_of(name)], 0.5 * strongest, joint, after),
+                f"{since}, a constant torque of {{value}} acts at {name}, as of a cable or a hose",
+                "take it away",
+                unit,
+                Level.REFUSES,
+                choices=len(blocks),
+            )
+            yield Explanation(
+                "friction",
+                effect([COULOMB.key_of(name)], 0.5 * strongest, joint, after),
+                f"{since}, the dry friction of {name} is {{value}} {{higher|lower}}",
+                "look after its brake and gear",
+                unit,
                 choices=len(blocks),
             )

@@ -108,7 +108,10 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     is_fitting = fits(fitted) and not any(map(is_like_gravity, contest.winners))
     # Links that may be off hide much of a direction that was stated the wrong way round.
     is_fitting &= fitted.arm.robot.gravity is None
-    if not (is_experiment or is_fitting):
+    # An arm that is compared with its model has played the motion: its columns are those of its
+    # motors, and a sign or an order would pass for what has happened to it.
+    is_of_model = fitted.question.differing is not None
+    if not (is_experiment or is_fitting or is_of_model):
         best = sorted(corrections(fitted, evidence), key=lambda c: -c.gain)
         # Whatever explains torques in another unit, they are not right as they are.
         is_unit = is_foreign(fitted)

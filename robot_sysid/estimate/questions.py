@@ -6,13 +6,13 @@ Shapes: n joints of the chain, J joints with equations; a body has ten inertial 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.estimate.links import AS_STATED, LinkScales, link_factor
+from robot_sysid.dynamics.friction import OFFSET, TERMS
+from robot_sysid.estimate.links import AS_STATED, EXPECTED, LinkScales, link_factor
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import (
     DELAY,
@@ -35,7 +35,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import joint_values
-from robot_sysid.spatial import N_INERTIAL
+from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.wording import option_name
 
 LEAST_DRY = 0.02
@@ -47,6 +47,13 @@ PER_CENT = 0.01
 """One per cent."""
 WIDE = 1e3
 """Standard deviation of a number of which nothing is known, in its usual size."""
+# How far off each cause may be where it is wrong.
+_WRONG_SIZES = {
+    SCALES: PER_CENT * usual_errors.WRONG_SCALE,
+    ZEROS: 1e-3 * usual_errors.WRONG_ZERO,
+    TILT: np.radians(usual_errors.WRONG_GRAVITY),
+    DELAY: 1e-3 * usual_errors.WRONG_DELAY,
+}
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,8 @@ class Question:
         drifts: whether to estimate a drift of friction from the first to the last recording.
         changed: of two sides that are compared, names of the drifts and of the payload's
             parameters that may have changed by more than usual; None where no sides are compared.
+        differing: of an arm that is compared with its model, names of the parameters that may
+            differ from it by more than usual; None where no model is compared.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None for the
@@ -71,6 +80,7 @@ class Question:
     loaded: bool = False
     drifts: bool = False
     changed: tuple[str, ...] | None = None
+    differing: tuple[str, ...] | None = None
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
     dry: tuple[float, ...] | None = None
@@ -92,7 +102,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     """
     options = question.options
     priors = options.priors
-    terms = [arm.terms[LAST_LINK]]
+    terms = [_last_link(arm, question)]
     if LINKS in arm.terms and priors.link > 0.0:
         terms.append(links_term(arm, question))
     changed = question.changed
@@ -101,7 +111,14 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     for name in question.friction:
         # The square-root term bends the curve of friction: only their sum has to oppose the motion.
         is_bent = name == "viscous" and "sqrt" in question.friction
-        terms.append(replace(arm.terms[name], is_bounded=not is_bent))
+        term = replace(arm.terms[name], is_bounded=not is_bent)
+        if name == OFFSET.name and question.differing is not None:
+            usual = usual_errors.OFFSET * np.max(torque)
+            sizes_of_offsets = _sizes(
+                term, question, usual, usual_errors.WRONG_OFFSET * usual
+            )
+            term = replace(term, prior=independent(sizes_of_offsets))
+        terms.append(term)
     terms += _unknown_friction(arm, question, torque)
     terms += [arm.terms[motor.name] for motor in arm.motors]
     scale = scale_spread(arm, options, question.loaded)
@@ -114,6 +131,10 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
         TILT: np.radians(priors.gravity),
         DELAY: 1e-3 * priors.delay,
     }
+    if question.differing is not None:
+        for cause, wrong in _WRONG_SIZES.items():
+            if cause in arm.terms:
+                sizes[cause] = _sizes(arm.terms[cause], question, sizes[cause], wrong)
     for cause, size in sizes.items():
         if cause in arm.terms and np.any(size > 0.0):
             prior = independent(np.full(len(arm.terms[cause].names), size))
@@ -151,6 +172,28 @@ def _drift_sizes(
         changed = largest.get(cause, usual_errors.LARGEST_DRIFT * size)
         sizes[cause] = np.where(is_changed, np.maximum(changed, size), size)
     return sizes
+
+
+def _sizes(term: Term, question: Question, usual: Array | float, wrong: float) -> Array:
+    """Return how far each parameter (k,) of a term may be off: as usual, or by more."""
+    is_differing = np.isin(term.names, question.differing or ())
+    return np.where(is_differing, np.maximum(wrong, usual), usual)
+
+
+def _last_link(arm: ArmTerms, question: Question) -> Term:
+    """Return the term of the last link, which is free unless it is compared with the model.
+
+    Then it is as far off as links usually are, or as the others are found to be.
+    """
+    term = arm.terms[LAST_LINK]
+    differing = question.differing
+    if differing is None or PARAMETER_NAMES[0] in differing:
+        return term
+    scales = np.maximum(astuple(question.link_scales), astuple(EXPECTED))
+    share = PER_CENT * max(question.options.priors.link, usual_errors.LINK)
+    last = [arm.robot.n_joints - 1]
+    factor = link_factor(arm.robot, last, share, LinkScales(*scales.tolist()))
+    return replace(term, prior=Prior(term.reference, factor))
 
 
 def without_common(prior: Prior) -> Prior:

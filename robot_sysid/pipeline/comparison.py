@@ -1,12 +1,15 @@
-"""Whether an arm is what it was: two runs, or a log since an earlier one, in one fit.
+"""Whether an arm is what it was, or what its model says: by logs of two sides, or of one.
 
-Errors that both sides share, such as those of the other links and of torque scales, are there once.
+Two runs, or a log since an earlier one, are fitted at once: errors that both sides share, such as
+those of the other links and of torque scales, are there once. Without an earlier side the model
+takes its place. Rows, verdict and remedies are the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -20,23 +23,44 @@ from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import PAYLOAD_NAMES, ArmTerms
+from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.changes import (
     ALL_JOINTS,
     DIFFERS,
+    FRICTION_ROW,
     UNKNOWN,
     Change,
     change_question,
     changes,
+    differences,
+    model_question,
 )
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.file_access import RUN_NAME, read_toml
-from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.records.levels import SURE
+from robot_sysid.records.messages import (
+    Level,
+    Progress,
+    count_text,
+    percent,
+    torque_unit,
+    with_error,
+)
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
 
+OTHER_FRICTION = 0.5
+"""Difference from the model's friction from which on it is said, as a share of that."""
+# Checks that find that nothing explains a log.
+_MISFITS = ("unexplained",)
+# Checks whose findings are of the arm, whatever they are worth.
+_OF_ARM = ("torque-scale", "zero", "tilt", "delay", "force", "payload-step", "friction")
+# Friction that holds a joint at a turn and lets go looks like a contact: it is said as what it is.
+_MOMENTARY = "contact"
+_LOOK = "look after these joints, and at the log by itself: robot-sysid log LOG MODEL"
 # Checks whose doubts are of what both sides share, which is no change, or of what is compared.
 _SHARED = ("torque-scale", "zero")
 # Name of a row to what is compared, in words.
@@ -46,6 +70,9 @@ _WORDS = {
     "zero": "zero",
     "scale": "torque scale",
     "offset": "torque offset",
+    "delay": "delay",
+    "tilt": "tilt",
+    "weight": "weight",
 }
 # Name of a row to the sensor whose reading it is.
 _READINGS = {
@@ -58,7 +85,10 @@ _REMEDIES = {
     "m": "take the load off, or weigh it (payload) and use the model with it",
     "zero": "set the joint's zero anew",
     "scale": "calibrate the joint's torque, and look after its gear ratio and motor",
-    "offset": "set the torque sensor's zero anew, and look for a spring or a hose",
+    "offset": "set the torque sensor's zero anew, and look for a cable, a spring or a hose",
+    "weight": "check that the model is of this arm, with all that is fixed to its links",
+    "tilt": "level the base, or turn it in the model",
+    "delay": "record torques and positions at the same instant",
     "friction": "record again when the gears are as warm as before; if it stays, look after brake, "
     "grease and belt, and identify the arm again",
 }
@@ -66,15 +96,17 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class Check:
-    """Whether an arm is what it was.
+    """Whether an arm is what it was, or what its model says.
 
     Attributes:
         logs: names of the logs that were checked.
-        since: names of the earlier logs.
-        has_changed: whether anything differs, beyond errors and what is usual from day to day.
+        since: names of the earlier logs; () where the logs were compared with the model.
+        has_changed: whether anything differs, beyond errors and what is usual: of two sides from
+            day to day, of an arm and its model as models are.
         changes: the numbers that were compared.
         verdict: what differs and what to do; or from which size on a change would have been named,
             and what the logs do not show.
+        notes: what is said of the arm and not judged, such as its friction.
     """
 
     logs: tuple[str, ...]
@@ -82,6 +114,7 @@ class Check:
     has_changed: bool
     changes: tuple[Change, ...]
     verdict: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def check_log(
@@ -92,7 +125,7 @@ def check_log(
     Args:
         config: names the model and the log, and says how that is read.
         since: the earlier log, as ``open_logs`` takes it, or the folder of a run on earlier logs,
-            with whose options these are read.
+            with whose options these are read; () compares the log with the model.
         progress: receives stages.
 
     Raises:
@@ -100,6 +133,10 @@ def check_log(
         SysidError: there is a doubt that is not accepted.
     """
     robot = load_arm(config, progress)
+    if not since:
+        return compare_with_model(
+            robot, _read(robot, config, progress), config, progress
+        )
     folders = [path for path in since if isinstance(path, Path)]
     is_run = [(path / RUN_NAME).is_file() for path in folders] == [True]
     try:
@@ -137,6 +174,128 @@ def check_log(
             "those of the earlier log; record a motion of all joints"
         )
     return Check(names, earlier_names, bool(changed), tuple(rows), verdict_on(rows))
+
+
+def compare_with_model(
+    robot: RobotModel,
+    logs: Sequence[Recording],
+    config: IdentifyConfig,
+    progress: Progress,
+) -> Check:
+    """Return whether an arm is what its model says, by logs of any motion.
+
+    What the checks of logs find that no row stands for, such as a load that was dropped, is said in
+    their words. Where nothing explains the torques, no number is named.
+
+    Raises:
+        InputError: the logs show too little, or are refused.
+    """
+    progress.stage("Comparing with the model...")
+    estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
+    estimation = replace(estimation, torques="chain", no_friction=False)
+    judged = judge(robot, logs, model_question(estimation), progress)
+    names = tuple(log.name for log in logs)
+    if judged.fit is None:
+        require_acceptable(judged.logs, judged.findings)
+        raise AssertionError("a log without a fit is refused")
+    found = [
+        each
+        for each in judged.findings
+        if each.level is not Level.SAYS
+        and each.about not in (_MOMENTARY, *config.log.accept)
+    ]
+    rows: tuple[Change, ...] = ()
+    explains = False
+    try:
+        differing = differences(judged.fit)
+        rows = differing.rows
+        explains = differing.fit.unexplained_share < UNEXPLAINED
+    except SysidError:
+        # More differs than a few numbers: it does not fit.
+        explains = False
+    is_differing = any(row.reason == DIFFERS for row in rows)
+    notes = friction_sentences(rows)
+    if not (explains and is_differing):
+        notes = (*_said(judged.findings), *notes)
+    notes = (*_momentary(judged.fit), *notes)
+    if explains and not is_differing:
+        # Links that are off as a whole, but not what they weigh at any joint, are no difference.
+        found = [each for each in found if each.about != "model"]
+    # Numbers that explain all say more than what was found one after the other.
+    if explains and (is_differing or not found):
+        verdict = verdict_on(rows, of_model=True)
+        return Check(names, (), is_differing, rows, verdict, notes)
+    # A number that does not explain is no answer.
+    rows = tuple(
+        replace(row, reason="") if row.reason == DIFFERS else row for row in rows
+    )
+    lines = [
+        _misfit(judged.fit) if each.about in _MISFITS else each.text for each in found
+    ]
+    remedies = dict.fromkeys(each.remedy for each in found if each.remedy)
+    verdict = (
+        f"Differs from the model: {'; '.join(lines or [_misfit(judged.fit)])}",
+        f"What to do: {'; '.join(remedies) or _LOOK}",
+    )
+    return Check(names, (), True, rows, verdict, notes)
+
+
+def _momentary(fitted: Fit) -> tuple[str, ...]:
+    """Return when torque was left over for a moment, which did not count; of many, how many."""
+    stretches = [each for log in fitted.recordings for each in log.touched]
+    if not stretches:
+        return ()
+    strongest = max(stretches, key=lambda stretch: stretch.stop - stretch.start)
+    names = ", ".join(compress(fitted.arm.joints, strongest.joints))
+    text = (
+        f"from {strongest.start:.2f} s to {strongest.stop:.2f} s the torque of {names} is neither "
+        "that of the links nor steady friction"
+    )
+    others = len(stretches) - 1
+    return (f"{text}, and at {count_text(others, 'other time')}" if others else text,)
+
+
+def _said(found: Iterable[Finding]) -> tuple[str, ...]:
+    """Return what was found and is no doubt, of the arm and not of the log."""
+    return tuple(
+        each.text
+        for each in found
+        if each.level is Level.SAYS and each.about in _OF_ARM
+    )
+
+
+def _misfit(fitted: Fit) -> str:
+    """Return how much of each joint's torque nothing explains, the largest share first."""
+    shares = fitted.unexplained / np.maximum(fitted.sums.rms_torque, 1e-9)
+    order = np.argsort(-fitted.unexplained).tolist()
+    listed = ", ".join(
+        f"{fitted.arm.joints[k]} {percent(shares[k])} ({fitted.unexplained[k]:.2g} "
+        f"{torque_unit(fitted.arm.joints[k] in fitted.arm.robot.slides)})"
+        for k in order
+    )
+    return f"the torques do not fit, by these shares of each joint's: {listed}"
+
+
+def friction_sentences(rows: Sequence[Change]) -> tuple[str, ...]:
+    """Return the friction of joints of which the model says clearly another: it is not judged."""
+    parts = []
+    for row in rows:
+        if row.name != FRICTION_ROW or not (row.error and row.model):
+            continue
+        is_clear = abs(row.value) > SURE * row.error
+        if is_clear and abs(row.value) > OTHER_FRICTION * row.model:
+            share = (
+                f"{1.0 - OTHER_FRICTION:g} of"
+                if row.value < 0.0
+                else f"{1.0 + OTHER_FRICTION:g} times"
+            )
+            way = "less than" if row.value < 0.0 else "more than"
+            parts.append(f"{row.of} has {way} {share} its {row.model:.2g} {row.unit}")
+    if not parts:
+        return ()
+    return (
+        f"the model's friction is not this arm's, in this motion: {', '.join(parts)}",
+    )
 
 
 def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Change]:
@@ -266,14 +425,18 @@ def _weighed(rows: Sequence[Change], fitted: Fit) -> Iterator[Change]:
         yield replace(row, value=float(value), error=float(error))
 
 
-def sentences(rows: Sequence[Change]) -> list[str]:
-    """Return what differs, a sentence each; or from which sizes on a difference would be named."""
+def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
+    """Return what differs, a sentence each; or from which sizes on a difference would be named.
+
+    ``of_model`` is whether the rows are differences from the model, and not from an earlier side.
+    """
+    sentence = _sentence_of_model if of_model else _sentence
     # The first of what has changed of a body: a mass that came on has first moments, too.
     found: dict[tuple[str, str], str] = {}
     for row in rows:
         if row.reason == DIFFERS:
             kind = row.name if row.name in _WORDS else "m"
-            found.setdefault((row.of, kind), _sentence(row))
+            found.setdefault((row.of, kind), sentence(row))
     if found:
         return list(found.values())
     least: dict[tuple[str, str], list[float]] = {}
@@ -292,19 +455,43 @@ def sentences(rows: Sequence[Change]) -> list[str]:
     named = "named from these sizes on, which differ from joint to joint"
     lines = [f"no difference beyond the errors; one is {named}: {', '.join(sizes)}"]
     if unknown:
-        parts = [f"{words} of {', '.join(of)}" for words, of in unknown.items()]
+        parts = [
+            f"{words} of {', '.join(of)}" if any(of) else words
+            for words, of in unknown.items()
+        ]
         lines.append(f"not shown by these logs: {'; '.join(parts)}")
     return lines
 
 
-def verdict_on(rows: Sequence[Change]) -> tuple[str, ...]:
+def verdict_on(rows: Sequence[Change], of_model: bool = False) -> tuple[str, ...]:
     """Return what has changed and what to do; or that nothing has, as far as the logs show."""
-    lines = sentences(rows)
+    lines = sentences(rows, of_model)
     changed = [row.name for row in rows if row.reason == DIFFERS]
     if not changed:
-        return (f"Unchanged: {lines[0]}", *lines[1:])
+        same = "As the model says" if of_model else "Unchanged"
+        return (f"{same}: {lines[0]}", *lines[1:])
     remedies = dict.fromkeys(_REMEDIES.get(name, _REMEDIES["m"]) for name in changed)
-    return f"Changed: {'; '.join(lines)}", f"What to do: {'; '.join(remedies)}"
+    differs = "Differs from the model" if of_model else "Changed"
+    return f"{differs}: {'; '.join(lines)}", f"What to do: {'; '.join(remedies)}"
+
+
+def _sentence_of_model(row: Change) -> str:
+    """Return what differs from the model, in words."""
+    size = with_error(abs(row.value), row.error, row.unit)
+    is_more = row.value > 0.0
+    way = "more" if is_more else "less"
+    if row.name == "m":
+        return f"{row.of} weighs {size} {way} than in the model"
+    if row.name == "scale":
+        owner = "all joints" if row.of == ALL_JOINTS else row.of
+        return f"the torque of {owner} reads {size} {way} than the model: torque constant or masses"
+    if row.name == "weight":
+        return f"{row.of} carries {size} {way} than the model's links weigh"
+    if row.name == "tilt":
+        return f"the base is tilted by {size} against the model's"
+    if row.name == "delay":
+        return f"the torque is {size} {'later' if is_more else 'earlier'} than the position"
+    return _sentence(row)
 
 
 def _sentence(row: Change) -> str:

@@ -101,3 +101,17 @@ KUKA LWR4+ are not known better."""
 LARGEST_DRIFT = 50.0
 """A drift of a zero, torque scale or offset that is a change of the arm, over the usual one: 50
 mrad, 12 % of the torque."""
+
+# ---- an arm that is compared with its model
+
+WRONG_SCALE = 40.0
+"""A torque scale that is wrong: another torque constant, or a gear of another ratio [%]."""
+WRONG_ZERO = 100.0
+"""A zero that is wrong [mrad]."""
+WRONG_GRAVITY = 10.0
+"""Tilt of a base that does not stand as the model says, about each axis [degrees]."""
+WRONG_DELAY = 40.0
+"""A delay that is wrong [ms]."""
+WRONG_OFFSET = 50.0
+"""A torque that pulls at a joint, such as a cable's, over the usual ``OFFSET``: half of what the
+strongest joint has."""

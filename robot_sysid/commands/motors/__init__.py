@@ -29,6 +29,7 @@ from robot_sysid.commands.motors.setup import (
 )
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.checks.after_run import judge_run, recorded_plan
 from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.execution import LIMIT_OPTIONS, SIMULATED_OPTIONS, ArmFiles
 from robot_sysid.damiao.protocol import BusTiming
@@ -66,20 +67,32 @@ def check(session: Session) -> int:
 def play(session: Session, is_real: bool = True) -> int:
     """Play a trajectory and print how it ended; return the exit code.
 
-    It is 1 where a motor reported a fault again and again, and else 0. ``is_real`` tells whether to
-    play on real motors, not on a simulated arm in simulated time. Errors are those of
+    It is 1 where a motor reported a fault again and again, or where the recording contradicts
+    itself, or the model by more than models are usually off; and else 0. ``is_real`` tells whether
+    to play on real motors, not on a simulated arm in simulated time. Errors are those of
     ``run_checked``; InputError without --channel for real motors.
     """
     plan = session.plan()
     opened = session.open_guarded() if is_real else session.open_simulated(plan)
-    with opened as link:
-        report = run_checked(session, link, plan, inspect_bus(link), is_real)
+    with recorded_plan(plan) as recorded:
+        with opened as link:
+            report = run_checked(session, link, recorded, inspect_bus(link), is_real)
+        # The motors are off, and the bus is closed.
+        said = judge_run(recorded, session.values)
+    session.console.stage(*said.lines)
     if conclude_on_reports(session, report, plan.trajectory.joints):
         return 1
     record = plan.recording.record
     done = "played, and all motors are disabled"
-    verdict = f"Usable: {done}; recorded to {record}" if record else f"Done: {done}"
-    session.conclude(verdict, *steps_after_play(session, plan, is_real))
+    if record:
+        done += f"; recorded to {record}"
+    if said.differs:
+        sentence = f"Not usable as it is, the arm is not what it should be: {done}"
+        session.step = None
+        session.verdict = (sentence, *filter(None, [said.remedy]))
+        return 1
+    steps = steps_after_play(session, plan, is_real)
+    session.conclude(f"{'Usable' if record else 'Done'}: {done}", *steps)
     return 0
 
 

@@ -1,0 +1,267 @@
+"""What a recorded run says of the arm: where its signals contradict one another or the model.
+
+It is asked when the motors are off, and nothing depends on it but words and an exit code. The
+comparison with the model is that of ``robot-sysid check`` (``pipeline/comparison.py``). The
+recording's own contradictions need no model:
+
+- A motor in MIT mode makes tau = t + kp (p - q) + kd (v - qd) of the command in force, and reports
+  it. A regression of the reported torque on these three gives one for each, but for what sensors
+  are usually off: less of the stiffness and the damping alone is another TMAX than that of the
+  register, nothing of the damping is a gain that is ignored.
+- Velocities are the derivatives of positions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.damiao.settings import Plan
+from robot_sysid.errors import SysidError, error_text
+from robot_sysid.model import OF_LOG
+from robot_sysid.records import Array
+from robot_sysid.records.file_access import temporary_folder
+from robot_sysid.records.levels import SURE
+from robot_sysid.records.messages import Progress
+
+# Parts of a motor's law, in the order of the regression.
+_PARTS = "feed-forward torque", "stiffness kp", "damping kd"
+# How far a part's factor may be from one. A motor's torque reading is a few per cent off; of the
+# damping a filter of the motor's velocity, which the recording does not have, takes a share.
+_TOLERANCES = np.array([0.15, 0.15, 0.5])
+# Least share of a joint's torque that a part makes where its factor is judged.
+_LEAST_SHARE = 0.03
+# Least variance of a part whose factor is judged, over that of the steps in which its position or
+# velocity is reported: with less, a slow run, the steps are as large as what is to be told.
+_LEAST_RESOLUTION = 50.0
+# Variance of an error that is uniform within a step, over the square of the step.
+_STEP_VARIANCE = 1.0 / 12.0
+# Factor of velocities from which on they are not those of the positions, as in
+# ``diagnosis.log_checks``: a low-pass of 3 Hz takes 3 %, steps of the velocity another few.
+_LEAST_RATIO = 0.1
+# Least velocity (root mean square) that is judged, over the step in which it is reported.
+_LEAST_STEPS = 5.0
+# Rows of a recording that count as one independent row.
+_ALIKE = 10.0
+# Least displacement of a joint whose velocities are judged [rad].
+_LEAST_MOTION = 0.1
+# Rows of a recording below which nothing is judged: a second at the slowest usual rate.
+_LEAST_ROWS = 100
+_REGISTERS = re.compile(r"# registers_j(\d+):.*PMAX=([\d.]+).*VMAX=([\d.]+)")
+# Steps of a range in an answer: 16 bits of position, 12 of velocity.
+POSITION_CODES = 65535
+VELOCITY_CODES = 4095
+_TEMPORARY_NAME = "measured.csv"
+
+
+@dataclass(frozen=True)
+class RunFindings:
+    """What the recording of a run says of the arm.
+
+    Attributes:
+        lines: a sentence each.
+        differs: whether it contradicts itself, or differs from the model by more than usual.
+        remedy: what to do; "" for nothing.
+    """
+
+    lines: tuple[str, ...] = ()
+    differs: bool = False
+    remedy: str = ""
+
+
+@contextlib.contextmanager
+def recorded_plan(plan: Plan) -> Iterator[Plan]:
+    """Yield the plan with a recording: its own, or a temporary one, which is removed afterwards.
+
+    Where no temporary file can be made, the run is not recorded.
+    """
+    if plan.recording.record is not None:
+        yield plan
+        return
+    with contextlib.ExitStack() as stack:
+        recording = plan.recording
+        with contextlib.suppress(OSError):
+            folder = stack.enter_context(temporary_folder())
+            recording = replace(recording, record=folder / _TEMPORARY_NAME)
+        yield replace(plan, recording=recording)
+
+
+def judge_run(plan: Plan, values: Mapping[str, Any]) -> RunFindings:
+    """Return what the recording of a run that went to its end says of the arm.
+
+    It raises nothing: an error of judging is a line.
+
+    Args:
+        plan: what was played, with the recording.
+        values: value of each option of the run, by its key; with a model the arm is compared.
+    """
+    path = plan.recording.record
+    if path is None:
+        return RunFindings()
+    labels = [joint.label for joint in plan.trajectory.joints]
+    lines: list[str] = []
+    try:
+        lines += contradictions(path, labels)
+        if lines:
+            # What the signals say of the links is as wrong as they are.
+            remedy = "look after the motors' settings and encoders"
+            return RunFindings(tuple(lines), True, remedy)
+        if values.get("model") is not None:
+            return _beside_model(path, values)
+    except SysidError as error:
+        return RunFindings((f"the recording does not show what the arm is: {error}",))
+    except Exception as error:
+        # Nothing that happens here may hide how the run ended.
+        return RunFindings(
+            (*lines, f"the recording could not be judged: {error_text(error)}"),
+            bool(lines),
+        )
+    return RunFindings()
+
+
+def _beside_model(path: Path, values: Mapping[str, Any]) -> RunFindings:
+    """Return how the arm of a recording differs from the model; SysidError where nothing shows."""
+    # Imported here so that a run does not wait for it.
+    from robot_sysid.config import IdentifyConfig
+    from robot_sysid.pipeline.comparison import check_log
+
+    of_model = {key: values[key] for key in OF_LOG if values.get(key) is not None}
+    config = IdentifyConfig.of(
+        path=Path(values["model"]), measurements=(path,), **of_model
+    )
+    check = check_log(config, (), Progress())
+    if not check.has_changed:
+        return RunFindings(check.notes)
+    differs, *remedies = check.verdict
+    return RunFindings((differs, *check.notes), True, "; ".join(remedies))
+
+
+def contradictions(path: Path, labels: Sequence[str]) -> list[str]:
+    """Return where signals of a recording of n joints contradict one another, a sentence each."""
+    gains, steps, columns = _read_recording(path)
+    if len(columns["time"]) < _LEAST_ROWS or len(gains["kp"]) != len(labels):
+        return []
+    sentences = []
+    for number, label in enumerate(labels):
+        signals = {
+            name.partition("_")[2]: values
+            for name, values in columns.items()
+            if name.startswith(f"j{number}_")
+        }
+        answered = np.isfinite(signals["pos"]) & np.isfinite(signals["tau"])
+        if np.count_nonzero(answered) < _LEAST_ROWS:
+            continue
+        signals = {name: values[answered] for name, values in signals.items()}
+        kp = gains["kp"][number]
+        kd = gains["kd"][number]
+        own = steps.get(number, (0.0, 0.0))
+        sentences += [f"{label}: {text}" for text in _of_torque(signals, kp, kd, own)]
+        sentences += [f"{label}: {text}" for text in _of_velocity(signals, own[1])]
+    return sentences
+
+
+def _read_recording(
+    path: Path,
+) -> tuple[dict[str, list[float]], dict[int, tuple[float, float]], dict[str, Array]]:
+    """Return what a recording holds.
+
+    These are the gains kp and kd (n,) in its head, by number of a joint the steps in which its
+    motor reports position and velocity [rad, rad/s], and the columns (N,) by title.
+    """
+    gains: dict[str, list[float]] = {"kp": [], "kd": []}
+    steps: dict[int, tuple[float, float]] = {}
+    titles: list[str] = []
+    rows: list[list[float]] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith("#"):
+            key, _, numbers = line[1:].strip().partition("=")
+            if key in gains:
+                gains[key] = [float(number) for number in numbers.split()]
+            match = _REGISTERS.match(line)
+            if match:
+                position = 2.0 * float(match[2]) / POSITION_CODES
+                velocity = 2.0 * float(match[3]) / VELOCITY_CODES
+                steps[int(match[1])] = position, velocity
+        elif not titles:
+            titles = line.split(",")
+        else:
+            rows.append([float(cell) if cell else np.nan for cell in line.split(",")])
+    table = np.array(rows).reshape(len(rows), len(titles))
+    return gains, steps, dict(zip(titles, table.T))
+
+
+def _of_torque(
+    signals: Mapping[str, Array], kp: float, kd: float, steps: tuple[float, float]
+) -> Iterator[str]:
+    """Yield where a joint's reported torque is not that of its commands and its state.
+
+    The motor's own loop knows position and velocity finer than the ``steps`` in which it reports
+    them. What these add to the squares of the parts is taken off (errors in variables; Fuller,
+    "Measurement error models", 1987): they would make a factor too small.
+    """
+    # Recorded is the mean torque while commands are held; reported was the sample.
+    reported = signals["tau"] - signals["cmd_mean"]
+    parts = np.column_stack(
+        (
+            signals["cmd_tau"],
+            kp * (signals["cmd_pos"] - signals["pos"]),
+            kd * (signals["cmd_vel"] - signals["vel"]),
+        )
+    )
+    is_known = np.isfinite(reported) & np.all(np.isfinite(parts), axis=1)
+    if np.count_nonzero(is_known) < _LEAST_ROWS:
+        return
+    reported = reported[is_known] - np.mean(reported[is_known])
+    parts = parts[is_known] - np.mean(parts[is_known], axis=0)
+    count = len(reported)
+    variances = np.mean(parts**2, axis=0)
+    coarse = _STEP_VARIANCE * np.array([0.0, kp * steps[0], kd * steps[1]]) ** 2
+    total = max(float(np.mean(reported**2)), float(np.max(variances)))
+    is_judged = variances > _LEAST_SHARE**2 * total
+    is_judged &= variances > _LEAST_RESOLUTION * coarse
+    is_used = variances > 2.0 * coarse
+    if total == 0.0 or not np.any(is_judged):
+        return
+    used = parts[:, is_used]
+    normal = used.T @ used - count * np.diag(coarse[is_used])
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    factors = inverse @ (used.T @ reported)
+    left = reported - used @ factors
+    # Residuals of neighbouring rows are alike: a tenth of the rows are independent.
+    errors = np.sqrt(_ALIKE * np.mean(left**2) * np.maximum(np.diag(inverse), 0.0))
+    of_used = is_judged[is_used]
+    off = np.abs(factors - 1.0) - _TOLERANCES[is_used] - SURE * errors
+    if np.any(off[of_used] > 0.0):
+        names = np.array(_PARTS)[is_used]
+        listed = ", ".join(
+            f"{factor:.2f} ± {error:.2f} of its {name}"
+            for name, factor, error, is_sure in zip(names, factors, errors, of_used)
+            if is_sure
+        )
+        yield f"the torque that it reports is {listed}, and 1 of each was commanded"
+
+
+def _of_velocity(signals: Mapping[str, Array], step: float) -> Iterator[str]:
+    """Yield where a joint's velocities are not the derivatives of its positions.
+
+    ``step`` is that in which its motor reports velocity [rad/s].
+    """
+    time = signals["time"]
+    position = signals["pos"] - np.mean(signals["pos"])
+    speed = float(np.sqrt(np.mean(signals["vel"] ** 2)))
+    if np.ptp(position) < _LEAST_MOTION or speed < _LEAST_STEPS * step:
+        return
+    steps = np.diff(time)
+    middle = 0.5 * (signals["vel"][1:] + signals["vel"][:-1])
+    integral = np.append(0.0, np.cumsum(steps * middle))
+    # A constant error of a drive's speed is no contradiction.
+    track = np.column_stack((integral, time - time[0], np.ones_like(time)))
+    factors, *_ = np.linalg.lstsq(track, signals["pos"], rcond=None)
+    if abs(factors[0] - 1.0) > _LEAST_RATIO:
+        yield (f"its positions move by {factors[0]:.2f} times what its velocities say")
