@@ -163,11 +163,8 @@ def differences(fitted: Fit) -> Differences:
     """
     arm = fitted.arm
     body = Parameter("load", of=arm.robot.body_name)
-    scale = parameters.SCALE.at(ALL_JOINTS)
-    candidates = [
-        Candidate(PARAMETER_NAMES, body, _OF_BODY),
-        Candidate(arm.terms[SCALES].names, scale, 0),
-    ]
+    # A factor on all torques or masses is looked for by the checks of logs.
+    candidates = [Candidate(PARAMETER_NAMES, body, _OF_BODY)]
     for cause in (SCALES, ZEROS, OFFSET.name, DELAY):
         for parameter in arm.terms[cause].parameters:
             candidates.append(Candidate((parameter.key,), parameter))
@@ -176,12 +173,14 @@ def differences(fitted: Fit) -> Differences:
         candidates.append(Candidate(names, Parameter("tilt", units=("rad",)), 2))
     causes = SCALES, ZEROS, OFFSET.name, DELAY, TILT, LAST_LINK
     comparison = _Comparison(fitted, candidates, causes, (), 1.0)
-    rows = (*comparison.rows(), *_weights(fitted), *_friction(fitted))
+    rows = (*comparison.rows(), *_weights(comparison.right, fitted), *_friction(fitted))
     return Differences(rows, comparison.right)
 
 
-def _weights(fitted: Fit) -> Iterator[Change]:
+def _weights(fitted: Fit, usual: Fit) -> Iterator[Change]:
     """Yield by how much the links' torque at each joint is larger than the model's.
+
+    What is usual of it is what the priors of the links say, in the fit in which nothing differs.
 
     With products G of a joint's rows, the model's links m and their deviations d it is
     m' G d / m' G m: what a factor on the model's torque would be.
@@ -199,6 +198,11 @@ def _weights(fitted: Fit) -> Iterator[Change]:
     is_of_link = np.isin(fitted.names, names)
     strongest = float(np.max(sums.rms_torque))
     change = np.where(is_of_link, fitted.free - reference[index], 0.0)
+    priors = [
+        (sums.at(term.names), term.prior.factor)
+        for term in usual.equations.terms
+        if term.prior is not None and term.cause in (LAST_LINK, LINKS)
+    ]
     for joint, columns, total in zip(sums.joints, sums.columns, sums.totals):
         own = np.append(reference, 0.0)[columns]
         slope = np.zeros(len(reference) + 1)
@@ -208,8 +212,11 @@ def _weights(fitted: Fit) -> Iterator[Change]:
             continue
         slopes = np.where(is_of_link, slope[index], 0.0) / square
         value = float(slopes @ change)
-        error = float(np.sqrt(max(slopes @ fitted.covariance @ slopes, 0.0)))
-        least = SURE * float(np.hypot(WEIGHT, error))
+        error = max(float(slopes @ fitted.covariance @ slopes), 0.0) ** 0.5
+        variance = sum(
+            float(np.sum((slope[at] @ factor) ** 2)) for at, factor in priors
+        )
+        least = SURE * float(np.sqrt(WEIGHT**2 + error**2 + variance / square**2))
         is_loaded = sums.rms_torque[sums.joints.index(joint)] > _LOADED * strongest
         is_beyond = is_loaded and abs(value) > least
         yield Change(
@@ -245,12 +252,12 @@ def _friction(fitted: Fit) -> Iterator[Change]:
             key = term.key_of(joint)
             if not term.is_friction:
                 continue
-            ones = np.array([1.0, speed, 0.0, torques[row]])
-            of_unit = float(term.torque(*ones))
+            state = np.array([[1.0], [speed], [0.0], [torques[row]]])
+            of_unit = float(term.torque(*state)[0])
             stated += of_unit * arm.model.get(key, 0.0)
             slopes[fitted.at([key])] = of_unit if key in fitted.names else 0.0
         value = float(slopes @ fitted.values)
-        error = float(np.sqrt(max(slopes @ fitted.covariance @ slopes, 0.0)))
+        error = max(float(slopes @ fitted.covariance @ slopes), 0.0) ** 0.5
         unit = torque_unit(joint in arm.robot.slides)
         yield Change(FRICTION_ROW, joint, unit, stated, value - stated, error)
 

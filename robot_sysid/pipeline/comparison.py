@@ -491,7 +491,10 @@ def _sentence_of_model(row: Change) -> str:
         return f"the base is tilted by {size} against the model's"
     if row.name == "delay":
         return f"the torque is {size} {'later' if is_more else 'earlier'} than the position"
-    return _sentence(row)
+    if row.name in _READINGS:
+        return _sentence(row)
+    differing = with_error(row.value, row.error, row.unit)
+    return f"mass times centre of mass of {row.of} along {row.name[1:]} differs by {differing}"
 
 
 def _sentence(row: Change) -> str:
