@@ -226,7 +226,7 @@ def _weights(fitted: Fit, usual: Fit) -> Iterator[Change]:
             None,
             100.0 * value,
             100.0 * error,
-            reason=_reason(is_beyond, error < WEIGHT),
+            reason=_reason(is_beyond, least < 1.0),
             least=100.0 * least,
         )
 

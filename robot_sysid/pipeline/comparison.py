@@ -55,7 +55,7 @@ from robot_sysid.wording import option_name
 OTHER_FRICTION = 0.5
 """Difference from the model's friction from which on it is said, as a share of that."""
 # Checks that find that nothing explains a log.
-_MISFITS = ("unexplained",)
+_MISFITS = ("model", "unexplained")
 # Checks whose findings are of the arm, whatever they are worth.
 _OF_ARM = ("torque-scale", "zero", "tilt", "delay", "force", "payload-step", "friction")
 # Friction that holds a joint at a turn and lets go looks like a contact: it is said as what it is.
@@ -225,12 +225,14 @@ def compare_with_model(
     if explains and (is_differing or not found):
         verdict = verdict_on(rows, of_model=True)
         return Check(names, (), is_differing, rows, verdict, notes)
+    is_misfit = judged.fit.unexplained_share > UNEXPLAINED
     # A number that does not explain is no answer.
     rows = tuple(
         replace(row, reason="") if row.reason == DIFFERS else row for row in rows
     )
     lines = [
-        _misfit(judged.fit) if each.about in _MISFITS else each.text for each in found
+        _misfit(judged.fit) if is_misfit and each.about in _MISFITS else each.text
+        for each in found
     ]
     remedies = dict.fromkeys(each.remedy for each in found if each.remedy)
     verdict = (

@@ -10,7 +10,7 @@ from robot_sysid.damiao.checks.after_run import contradictions
 KP = 100.0
 KD = 2.0
 HEAD = "# kp=100\n# kd=2\n# registers_j0: MST_ID=17,PMAX=12.5,VMAX=10,TMAX=28\n"
-TITLES = "pos vel tau time cmd_pos cmd_vel cmd_tau cmd_mean".split()
+TITLES = ["pos", "vel", "tau", "time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_mean"]
 STEPS = {"pos": 25.0 / 65535, "vel": 20.0 / 4095}
 
 
