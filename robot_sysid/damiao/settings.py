@@ -41,9 +41,11 @@ def _within(least: float, most: float, unit: str) -> Check:
 
 TRACKING = 0.2
 """How far a joint may leave its path, or float, unless the user says another angle [rad]."""
-LARGEST_SAG = 0.5
+LARGEST_SAG = 0.6
 """The largest angle that a joint may leave its path by because its stiffness is low [rad]: with
 more, the motion is another one than the one that was checked."""
+OVERSHOOT = 2.0
+"""How far an arm that takes up its load swings, over how far it then sags."""
 LEAST_STIFFNESS = 1.0
 """Stiffness below which an arm counts as limp [N m/rad]."""
 
@@ -172,7 +174,8 @@ class PlaySettings(OptionRecord):
         # An empty setting stands for the default.
         kp = joint_values(self.kp or tuple(stiffness), n, option_name("kp"))
         kd = joint_values(self.kd or tuple(damping), n, option_name("kd"))
-        usual = np.minimum(sag / np.maximum(kp, LEAST_STIFFNESS), LARGEST_SAG)
+        sagged = OVERSHOOT * sag / np.maximum(kp, LEAST_STIFFNESS)
+        usual = np.minimum(sagged, LARGEST_SAG)
         tracking = np.full(n, self.max_tracking_error or 0.0)
         if self.max_tracking_error is None:
             tracking = np.maximum(TRACKING, np.broadcast_to(usual, n))
@@ -305,7 +308,7 @@ class Plan:
             )
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(
-            specs, self.timing, self.mobility, self._sag
+            specs, self.timing, self.mobility, self.usual_excess
         )
         # The transfer keeps the limits, too.
         stated = filter(None, (self.user_limits, self.model_limits))
@@ -322,7 +325,7 @@ class Plan:
         object.__setattr__(self, "settings", settings)
 
     @property
-    def _sag(self) -> Array:
+    def usual_excess(self) -> Array:
         """Torque (n,) by which what carries the arm is usually off, friction included [N m]."""
         trajectory = self.trajectory
         error = trajectory.weight_error

@@ -69,9 +69,10 @@ FRICTION_DRIFT = 2.0 * FRICTION_CHANGE
 LARGEST_FRICTION = 1.5
 """Largest friction of a joint with a small motor that nobody knows, as it breaks loose [N m]: an
 OpenArm's elbow needs 1.2 at 1 rad/s, wrists of arms of other makers 1."""
-LARGEST_FRICTION_SHARES = (0.05, 0.25)
-"""Least and greatest share of a motor's peak torque that this is: 0.31 N m of 40 at an OpenArm's
-shoulder and 1.2 of 27 at its elbow; a motor of 3 N m is not sold for a joint that takes half."""
+LARGEST_FRICTION_SHARES = (0.1, 0.25)
+"""Least and greatest share of a motor's peak torque that this is: a motor that makes twice what its
+joint needs turns a gear that loses a tenth of that, and more at rest; a motor of 3 N m is not used
+for a joint that takes half of it."""
 
 # ---- sensors and base
 

@@ -24,7 +24,7 @@ from robot_sysid.damiao.joints import (
 )
 from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
-from robot_sysid.damiao.settings import Plan, joint_positions
+from robot_sysid.damiao.settings import OVERSHOOT, Plan, joint_positions
 from robot_sysid.damiao.trajectory import ROUNDING, DamiaoTrajectory
 from robot_sysid.damiao.weight_file import weight_path
 from robot_sysid.errors import HardwareAbort
@@ -156,7 +156,28 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
         if limits is not None:
             stated.insert(0, StatedLimits(limits, owner, remedy))
     yield from limit_checks(trajectory, settings.speed, stated)
+    yield from stiffness_checks(plan)
     yield from weight_checks(trajectory, settings.speed)
+
+
+def stiffness_checks(plan: Plan) -> Iterator[Remark]:
+    """Yield a note where an arm may swing farther than a joint may leave its path.
+
+    So it does where its weight is off by what models usually are, and its stiffness is low. It is
+    stopped then, although nothing is broken.
+    """
+    swing = OVERSHOOT * plan.usual_excess
+    stiffness = np.array(plan.settings.kp)
+    joints = plan.trajectory.joints
+    enough = swing / np.array(plan.settings.tracking)
+    # What a motor's frames can carry is the most there is to recommend.
+    for j in np.flatnonzero((stiffness < enough) & (stiffness < protocol.KP_MAX)):
+        yield note(
+            f"{joints[j].label}: with a stiffness of {stiffness[j]:g} N·m/rad it may swing by more "
+            f"than {plan.settings.tracking[j]:.2g} rad where the arm's weight is as far from the "
+            "model's as it usually is, and is stopped then; "
+            f"{option_name('kp')} of {np.ceil(min(enough[j], protocol.KP_MAX)):g} prevents that"
+        )
 
 
 def weight_checks(trajectory: DamiaoTrajectory, speed: float) -> Iterator[Remark]:

@@ -47,7 +47,7 @@ from robot_sysid.damiao.safety.plausibility import Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
-from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.levels import INTERVAL, SURE
 
 # Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s;
 # with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
@@ -205,7 +205,7 @@ class Watch:
         commanded = acted.motor_torque(feedback.position, feedback.velocity)
         self._check_repeats(replies, acted, commanded)
         self._average(replies, acted, commanded, phase)
-        self._check_rows(replies, acted, phase)
+        self._check_rows(replies, acted, followed, phase)
         if phase.rises:
             return
         self._check_weight(followed)
@@ -257,7 +257,9 @@ class Watch:
         if phase.rises:
             self._long[6:] = self._short[6:]
 
-    def _check_rows(self, replies: Replies, acted: MitCommand, phase: Phase) -> None:
+    def _check_rows(
+        self, replies: Replies, acted: MitCommand, followed: Reference, phase: Phase
+    ) -> None:
         """Raise HardwareAbort for the joint and row that are farthest beyond their bound.
 
         The arguments are those of ``check``. A joint without an answer is not judged.
@@ -283,7 +285,14 @@ class Watch:
             tracking = self.standing_limit(q, acted.position, acted.torque)
         # A standing joint has no friction that reverses, so its bound is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
-        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.25 * peak)
+        stands &= self._long[3] <= self._velocity_step
+        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.2 * peak)
+        # What the weight is usually off changes with the pose: by all of it within a radian.
+        moved = np.minimum(_LONG * np.max(long_way, initial=0.0), 1.0)
+        usual = np.nan_to_num(moved * INTERVAL * followed.weight_error)
+        load = np.maximum(load, np.minimum(usual, 0.2 * peak))
+        # A joint that sticks and slips needs its friction one way, and at once the other way.
+        load = np.where(stands, load, np.maximum(load, 2.0 * self._friction))
         torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
         # Measured, expected and bound of each of ``_ROWS``.
         rows = [
@@ -346,16 +355,17 @@ class Watch:
     def _check_weight(self, followed: Reference) -> None:
         """Raise HardwareAbort for a joint that carries the arm in the direction of its weight.
 
-        Friction may carry a joint that moves, but not against its weight.
+        Friction may carry a joint that sticks or goes down, but not one that is lifted.
         """
         weight = followed.weight
         sign = np.sign(weight)
         # What is fed beyond the weight accelerates the arm.
         carried = self._short[7] + weight
-        helped = self._friction * np.maximum(-sign * self._short[8], 0.0)
+        lifts = np.minimum(sign * self._short[1], sign * self._short[3])
+        helped = np.where(lifts > self._velocity_step, 0.0, self._friction)
         # Where the weights of two links cancel, the model may have the sign wrong.
-        least = np.abs(weight) - INTERVAL * followed.weight_error
-        is_opposite = sign * carried + helped < np.minimum(least, -0.5 * self._doubt)
+        least = np.abs(weight) - SURE * followed.weight_error
+        is_opposite = sign * carried + helped < np.minimum(least, -self._doubt)
         is_loaded = np.abs(weight) > LOADED * self._doubt
         self._check_load(is_opposite & is_loaded, carried, weight)
 
