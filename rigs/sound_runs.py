@@ -60,6 +60,10 @@ MOST_STIFFNESS = 100.0
 """Between which rates [Hz] and stiffnesses [N m/rad] runs are drawn."""
 MOST_SAG = 0.15
 """How far an arm may sag by its stiffness [rad]; a run is stopped at 0.2, as it should be."""
+LEAST_OVER_GRAVITY = 1.5
+"""Least stiffness over the slope of the weight, below which an arm topples like a pencil on end."""
+NEAR = 0.01
+"""Angle over which that slope is taken [rad]."""
 SAMPLE_RATE = 250.0
 """Rate at which a motion's torque is looked at, to choose motors [Hz]."""
 COMPLETED = "completed"
@@ -146,14 +150,20 @@ class PlannedMotion:
     q: np.ndarray
 
     def least_stiffness(self, seed):
-        """Return with which stiffness the arm of a seed sags by ``MOST_SAG`` at most [N m/rad].
+        """Return with which stiffness the arm of a seed stands and sags little [N m/rad].
 
-        It sags because its links are heavier or lighter than the model's, which are fed.
+        It sags because its links are heavier or lighter than the model's, which are fed, and it
+        topples where its weight grows faster with the angle than its stiffness.
         """
         thetas = drawn_links(self.robot, seed)
         true = resting_torque(self.robot, self.q, thetas)
         fed = resting_torque(self.robot, self.q, self.robot.thetas)
-        return float(np.abs(true - fed).max()) / MOST_SAG
+        sagging = float(np.abs(true - fed).max()) / MOST_SAG
+        slopes = []
+        for turn in NEAR * np.eye(self.robot.n_joints):
+            ahead = resting_torque(self.robot, self.q + turn, thetas)
+            slopes.append(float(np.abs(ahead - true).max()) / NEAR)
+        return max(sagging, LEAST_OVER_GRAVITY * max(slopes))
 
     def telling_joints(self):
         """Return the numbers of the joints that carry most and second most, and of a wrist's."""

@@ -46,6 +46,8 @@ LARGEST_SAG = 0.6
 more, the motion is another one than the one that was checked."""
 OVERSHOOT = 2.0
 """How far an arm that takes up its load swings, over how far it then sags."""
+LEAST_FADING = 1e-9
+"""Stiffness that stands for none where it is divided by [N m/rad]."""
 LEAST_STIFFNESS = 1.0
 """Stiffness below which an arm counts as limp [N m/rad]."""
 
@@ -137,6 +139,7 @@ class PlaySettings(OptionRecord):
         timing: BusTiming,
         mobility: Array | None = None,
         sag: Array | float = 0.0,
+        slope: Array | float = 0.0,
     ) -> PlaySettings:
         """Return these settings with a cycle rate, and gains and a tracking limit for each motor.
 
@@ -153,6 +156,7 @@ class PlaySettings(OptionRecord):
             timing: frame format and bit rates of the bus, which determine the default rate.
             mobility: the arm's inverse mass matrix (n, n) [1/(kg m^2)]; None without a model.
             sag: torque (n,) by which what carries the arm is usually off, friction included [N m].
+            slope: by how much a joint's weight grows (n,) as it sinks [N m/rad].
 
         Raises:
             InputError: a setting has neither one value nor one per motor.
@@ -174,7 +178,8 @@ class PlaySettings(OptionRecord):
         # An empty setting stands for the default.
         kp = joint_values(self.kp or tuple(stiffness), n, option_name("kp"))
         kd = joint_values(self.kd or tuple(damping), n, option_name("kd"))
-        sagged = OVERSHOOT * sag / np.maximum(kp, LEAST_STIFFNESS)
+        # The weight that an arm that sinks takes up counts against the stiffness.
+        sagged = OVERSHOOT * sag / np.maximum(kp - slope, LEAST_STIFFNESS)
         usual = np.minimum(sagged, LARGEST_SAG)
         tracking = np.full(n, self.max_tracking_error or 0.0)
         if self.max_tracking_error is None:
@@ -192,6 +197,22 @@ class PlaySettings(OptionRecord):
         """Length of a control cycle [s]; ``rate`` must not be None."""
         assert self.rate is not None
         return 1.0 / self.rate
+
+
+def slowed_in_a_cycle(period: float, kp: Array | float, kd: Array | float) -> Any:
+    """Return the largest ratio of a joint's mean speed to the one at which it is sampled.
+
+    A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd, and is sampled
+    when it has slowed down at the end of a cycle T: in steady motion its mean speed is (exp(kT) -
+    1) / (kT) times the sampled one; with inertia, between 1 and this.
+
+    Args:
+        period: length of a cycle T [s].
+        kp: stiffness [N m/rad], above zero.
+        kd: damping [N m s/rad], above zero.
+    """
+    fade = period * np.maximum(kp, LEAST_FADING) / kd
+    return np.expm1(fade) / fade
 
 
 HOLD_SETTINGS = {
@@ -308,7 +329,7 @@ class Plan:
             )
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(
-            specs, self.timing, self.mobility, self.usual_excess
+            specs, self.timing, self.mobility, self.usual_excess, self.weight_slope
         )
         # The transfer keeps the limits, too.
         stated = filter(None, (self.user_limits, self.model_limits))
@@ -333,6 +354,16 @@ class Plan:
             error = WEIGHT * np.abs(trajectory.tau)
         largest = np.max(INTERVAL * error, axis=0)
         return largest + largest_friction(trajectory.joints)
+
+    @property
+    def weight_slope(self) -> Array:
+        """By how much each joint's weight (n,) grows as it sinks, at most about [N m/rad].
+
+        That of a link on a level joint is m g l cos(q), which changes by m g l in a radian.
+        """
+        trajectory = self.trajectory
+        weight = trajectory.tau if trajectory.weight is None else trajectory.weight
+        return np.max(np.abs(weight), axis=0)
 
     @property
     def duration(self) -> float:

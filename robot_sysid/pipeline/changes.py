@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, compress
 
 import numpy as np
 
@@ -165,9 +165,13 @@ def differences(fitted: Fit) -> Differences:
     body = Parameter("load", of=arm.robot.body_name)
     # A factor on all torques or masses is looked for by the checks of logs.
     candidates = [Candidate(PARAMETER_NAMES, body, _OF_BODY)]
+    torques = fitted.sums.rms_torque
+    loaded = {*compress(arm.joints, torques > _LOADED * np.max(torques))}
     for cause in (SCALES, ZEROS, OFFSET.name, DELAY):
         for parameter in arm.terms[cause].parameters:
-            candidates.append(Candidate((parameter.key,), parameter))
+            # What a joint reads that carries next to nothing is friction, of any size.
+            if cause != SCALES or parameter.of in loaded:
+                candidates.append(Candidate((parameter.key,), parameter))
     if TILT in arm.terms:
         names = arm.terms[TILT].names
         candidates.append(Candidate(names, Parameter("tilt", units=("rad",)), 2))
@@ -255,7 +259,8 @@ def _friction(fitted: Fit) -> Iterator[Change]:
             state = np.array([[1.0], [speed], [0.0], [torques[row]]])
             of_unit = float(term.torque(*state)[0])
             stated += of_unit * arm.model.get(key, 0.0)
-            slopes[fitted.at([key])] = of_unit if key in fitted.names else 0.0
+            if key in fitted.names:
+                slopes[fitted.at([key])] = of_unit
         value = float(slopes @ fitted.values)
         error = max(float(slopes @ fitted.covariance @ slopes), 0.0) ** 0.5
         unit = torque_unit(joint in arm.robot.slides)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.settings import Plan
+from robot_sysid.damiao.settings import Plan, slowed_in_a_cycle
 from robot_sysid.errors import SysidError, error_text
 from robot_sysid.model import OF_LOG
 from robot_sysid.records import Array
@@ -162,7 +162,9 @@ def contradictions(path: Path, labels: Sequence[str]) -> list[str]:
         kd = gains["kd"][number]
         own = steps.get(number, (0.0, 0.0))
         sentences += [f"{label}: {text}" for text in _of_torque(signals, kp, kd, own)]
-        sentences += [f"{label}: {text}" for text in _of_velocity(signals, own[1])]
+        slowed = slowed_in_a_cycle(float(np.median(np.diff(signals["time"]))), kp, kd)
+        of_velocity = _of_velocity(signals, own[1], slowed)
+        sentences += [f"{label}: {text}" for text in of_velocity]
     return sentences
 
 
@@ -247,10 +249,15 @@ def _of_torque(
         yield f"the torque that it reports is {listed}, and 1 of each was commanded"
 
 
-def _of_velocity(signals: Mapping[str, Array], step: float) -> Iterator[str]:
+def _of_velocity(
+    signals: Mapping[str, Array], step: float, slowed: float
+) -> Iterator[str]:
     """Yield where a joint's velocities are not the derivatives of its positions.
 
-    ``step`` is that in which its motor reports velocity [rad/s].
+    Args:
+        signals: of the joint, (N,) each.
+        step: in which its motor reports velocity [rad/s].
+        slowed: by how much its mean speed may exceed the sampled one, see ``slowed_in_a_cycle``.
     """
     time = signals["time"]
     position = signals["pos"] - np.mean(signals["pos"])
@@ -263,5 +270,5 @@ def _of_velocity(signals: Mapping[str, Array], step: float) -> Iterator[str]:
     # A constant error of a drive's speed is no contradiction.
     track = np.column_stack((integral, time - time[0], np.ones_like(time)))
     factors, *_ = np.linalg.lstsq(track, signals["pos"], rcond=None)
-    if abs(factors[0] - 1.0) > _LEAST_RATIO:
+    if not 1.0 - _LEAST_RATIO <= factors[0] <= slowed + _LEAST_RATIO:
         yield (f"its positions move by {factors[0]:.2f} times what its velocities say")

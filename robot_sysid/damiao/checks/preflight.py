@@ -169,7 +169,7 @@ def stiffness_checks(plan: Plan) -> Iterator[Remark]:
     swing = OVERSHOOT * plan.usual_excess
     stiffness = np.array(plan.settings.kp)
     joints = plan.trajectory.joints
-    enough = swing / np.array(plan.settings.tracking)
+    enough = swing / np.array(plan.settings.tracking) + plan.weight_slope
     # What a motor's frames can carry is the most there is to recommend.
     for j in np.flatnonzero((stiffness < enough) & (stiffness < protocol.KP_MAX)):
         yield note(

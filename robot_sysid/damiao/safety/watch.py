@@ -44,10 +44,10 @@ from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.health import BusHealth
 from robot_sysid.damiao.safety.holding import LOADED, HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.plausibility import Mask, Replies
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import PlaySettings, slowed_in_a_cycle
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
-from robot_sysid.records.levels import INTERVAL, SURE
+from robot_sysid.records.levels import INTERVAL
 
 # Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s;
 # with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
@@ -59,6 +59,9 @@ _LONG = 1.0
 _DRIFT = 0.01
 _LATE = 0.01
 _SCALE = 0.03
+# Standard errors of the weight from which a run is stopped: each joint is compared thousands of
+# times in a run, so that three are too few.
+_CERTAIN = 4.0
 # Rows of the watch: which of the three disagrees, then its two numbers.
 _ROWS = (
     "position: it is at {:.3f} rad, and commanded to {:.3f}",
@@ -147,11 +150,8 @@ class Watch:
         # How far a standing joint may sag: an arm half a radian from the first point, or with a new
         # load, needs half of this.
         self._sag = np.minimum(2.0 * rated / kp, settings.tracking)
-        # A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd, and is
-        # sampled when it has slowed down at the end of a cycle T: in steady motion its mean speed
-        # is (exp(kT) - 1) / (kT) times the sampled one; with inertia, between 1 and this.
-        fade = settings.period * kp / np.array(settings.kd)
-        self._slowed = np.expm1(fade) / fade
+        # How much faster a joint is on average than where it is sampled.
+        self._slowed = slowed_in_a_cycle(settings.period, kp, np.array(settings.kd))
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # The largest friction of a joint that nobody knows.
@@ -364,8 +364,8 @@ class Watch:
         lifts = np.minimum(sign * self._short[1], sign * self._short[3])
         helped = np.where(lifts > self._velocity_step, 0.0, self._friction)
         # Where the weights of two links cancel, the model may have the sign wrong.
-        least = np.abs(weight) - SURE * followed.weight_error
-        is_opposite = sign * carried + helped < np.minimum(least, -self._doubt)
+        least = np.abs(weight) - _CERTAIN * followed.weight_error
+        is_opposite = sign * carried + helped < np.minimum(least, -0.5 * self._doubt)
         is_loaded = np.abs(weight) > LOADED * self._doubt
         self._check_load(is_opposite & is_loaded, carried, weight)
 
