@@ -71,7 +71,7 @@ _OUTLIER = 30.0
 _ZERO = 0.02
 _WRONG_ZERO = 0.3
 # Change of a position that drifts or slips within a second [rad].
-_DRIFT = 0.15
+_DRIFT = 0.125
 # A load at the end: mass [kg] and its distance from the last joint [m].
 _LOAD_MASS = 3.0
 _LOAD_REACH = 0.2
