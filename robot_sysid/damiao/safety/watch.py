@@ -59,6 +59,9 @@ _LONG = 1.0
 _DRIFT = 0.01
 _LATE = 0.01
 _SCALE = 0.03
+# Most that the torque which a joint needs may change within a second without a word, over its
+# motor's peak: a motor that makes half of its torque needs more than that of a loaded joint.
+_MOST_LOAD = 0.2
 # Standard errors of the weight from which a run is stopped: each joint is compared thousands of
 # times in a run, so that three are too few.
 _CERTAIN = 4.0
@@ -286,11 +289,13 @@ class Watch:
         # A standing joint has no friction that reverses, so its bound is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
         stands &= self._long[3] <= self._velocity_step
-        load = np.clip(self._spring, np.where(stands, 0.03, 0.1) * peak, 0.2 * peak)
+        load = np.clip(
+            self._spring, np.where(stands, 0.03, 0.1) * peak, _MOST_LOAD * peak
+        )
         # What the weight is usually off changes with the pose: by all of it within a radian.
         moved = np.minimum(_LONG * np.max(long_way, initial=0.0), 1.0)
         usual = np.nan_to_num(moved * INTERVAL * followed.weight_error)
-        load = np.maximum(load, np.minimum(usual, 0.2 * peak))
+        load = np.maximum(load, np.minimum(usual, _MOST_LOAD * peak))
         # A joint that sticks and slips needs its friction one way, and at once the other way.
         load = np.where(stands, load, np.maximum(load, 2.0 * self._friction))
         torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
