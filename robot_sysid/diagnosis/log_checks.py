@@ -156,6 +156,10 @@ def _steps(piece: Recording) -> tuple[Array, Array]:
     square = np.sum(reference**2, axis=1)
     product = np.sum(displacement[2:-2] * reference, axis=1)
     jitter = np.median(np.abs(np.diff(displacement, axis=0)), axis=0)
+    # A slow joint that is sampled fast moves by one or two steps of its encoder at a time.
+    moves = np.where(displacement == 0.0, np.inf, np.abs(displacement))
+    encoder_step = np.min(moves, axis=0)
+    jitter = np.maximum(jitter, np.where(np.isfinite(encoder_step), encoder_step, 0.0))
     duration = step[2:-2] / typical_step
     # Steps within noise, or with a seventh of the fastest speed or less, near a reversal, say
     # little of the clock.

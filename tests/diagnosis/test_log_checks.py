@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import butter, sosfiltfilt
@@ -59,6 +59,19 @@ def test_lost_samples_behind_a_counted_time_are_refused(seed, share):
     assert finding.level is Level.REFUSES and "lost samples" in finding.text
     honest = replace(log, time=SAMPLES.time[received])
     assert list(clock_findings([honest])) == []
+
+
+@given(st.floats(0.2, 3.0), st.integers(100, 500))
+@example(1.05, 250)
+def test_a_slow_motion_in_steps_of_an_encoder_loses_no_samples(steps, rate):
+    time = np.arange(20 * rate) / rate
+    step = 25.0 / 65535
+    fastest = steps * step * rate
+    frequencies = np.array([1.3, 2.9])
+    way = fastest / frequencies * np.sin(time[:, None] * frequencies + [0.0, 1.0])
+    q = step * np.round(way / step)
+    log = Recording(time, q, None, np.zeros_like(q))
+    assert not [each for each in clock_findings([log]) if "lost" in each.text]
 
 
 @given(st.integers(100, 1900), st.floats(0.05, 0.4))
