@@ -194,6 +194,11 @@ class MotorSession:
         return self._filter.last.q, self._filter.last.qd
 
     @property
+    def position_now(self) -> Array:
+        """Where the joints (n,) are by now: the believed positions, carried on by their speed."""
+        return self._filter.position_at(self.clock.now())
+
+    @property
     def torque_deviation(self) -> Array:
         """Reported torque minus the commanded one (n,) of these answers [N m]."""
         return self._filter.last.torque_error
@@ -315,7 +320,7 @@ class MotorSession:
         # began late, the next one follows in less time than there is between two positions of the
         # trajectory.
         elapsed = np.minimum(now - self._moved_until, 0.2)
-        q = self._filter.last.q
+        q = self.position_now
         allowed = confine(command, self.limits, self.sent_position, elapsed, q)
         if braking:
             command = allowed

@@ -166,6 +166,16 @@ class SampleFilter:
             time=np.full_like(q, time), q=q.copy(), qd=np.zeros_like(q)
         )
 
+    def position_at(self, now: float) -> Array:
+        """Return where the joints (n,) are at a time, carried on by their last speed [rad].
+
+        A command acts a cycle after the last sample: at 50 Hz a joint at 1.5 rad/s is then 0.03 rad
+        farther, which a stiffness of 100 N m/rad would take for 3 N m. No further than that an old
+        speed says anything.
+        """
+        passed = np.clip(now - self.last.time, 0.0, LONGEST_SPURT)
+        return self.last.q + self.last.qd * passed
+
     def believe(
         self, came: Mask, time: Array, feedback: Feedback, acted: MitCommand | None
     ) -> tuple[Mask, Mask, Array]:
@@ -262,7 +272,7 @@ def confine(
             the sum of kp times position error and feed-forward torque.
         last: (n,) positions commanded last [rad].
         elapsed: (n,) time since the last command [s].
-        q: (n,) last believed positions [rad]; NaN where a joint has never answered.
+        q: (n,) believed positions [rad]; NaN where a joint has never answered.
     """
     top_speed = limits.velocity
     reach = top_speed * elapsed
@@ -294,7 +304,7 @@ def require_allowed(
         labels: names of the n joints, for messages.
         command: command that is to be sent, fields (n,), in joint space.
         allowed: this command, limited to the bounds by ``confine``.
-        q: (n,) last believed positions [rad]; NaN where a joint has never answered.
+        q: (n,) believed positions [rad]; NaN where a joint has never answered.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m], by
             which a command may exceed what is allowed.
     """
