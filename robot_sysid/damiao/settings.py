@@ -44,6 +44,8 @@ TRACKING = 0.2
 LARGEST_SAG = 0.6
 """The largest angle that a joint may leave its path by because its stiffness is low [rad]: with
 more, the motion is another one than the one that was checked."""
+MOST_OF_PEAK = 0.75
+"""Share of a motor's peak torque that still carries a joint which has sunk: the rest stops it."""
 OVERSHOOT = 2.0
 """How far an arm that takes up its load swings, over how far it then sags."""
 LEAST_FADING = 1e-9
@@ -139,7 +141,8 @@ class PlaySettings(OptionRecord):
         timing: BusTiming,
         mobility: Array | None = None,
         sag: Array | float = 0.0,
-        slope: Array | float = 0.0,
+        load: Array | float = 0.0,
+        slope: Array | None = None,
     ) -> PlaySettings:
         """Return these settings with a cycle rate, and gains and a tracking limit for each motor.
 
@@ -149,14 +152,18 @@ class PlaySettings(OptionRecord):
         a cycle: the torque step that is to be measured would have vanished by then.
 
         A joint may leave its path by ``TRACKING``, or by what its weight is usually off over its
-        stiffness: an arm with little stiffness sags by that, and nothing is wrong with it.
+        stiffness: an arm with little stiffness sags by that, and nothing is wrong with it. The
+        weight that an arm that sinks takes up counts against the stiffness, so that without its
+        slope nobody knows how far that is; and a joint may sink no farther than its motor holds it.
 
         Args:
             specs: types of the n motors.
             timing: frame format and bit rates of the bus, which determine the default rate.
             mobility: the arm's inverse mass matrix (n, n) [1/(kg m^2)]; None without a model.
             sag: torque (n,) by which what carries the arm is usually off, friction included [N m].
-            slope: by how much a joint's weight grows (n,) as it sinks [N m/rad].
+            load: largest torque (n,) that carries the arm in the motion [N m].
+            slope: by how much a joint's weight grows (n,) as it sinks [N m/rad]; None where it is
+                not known.
 
         Raises:
             InputError: a setting has neither one value nor one per motor.
@@ -178,12 +185,15 @@ class PlaySettings(OptionRecord):
         # An empty setting stands for the default.
         kp = joint_values(self.kp or tuple(stiffness), n, option_name("kp"))
         kd = joint_values(self.kd or tuple(damping), n, option_name("kd"))
-        # The weight that an arm that sinks takes up counts against the stiffness.
-        sagged = OVERSHOOT * sag / np.maximum(kp - slope, LEAST_STIFFNESS)
-        usual = np.minimum(sagged, LARGEST_SAG)
-        tracking = np.full(n, self.max_tracking_error or 0.0)
-        if self.max_tracking_error is None:
-            tracking = np.maximum(TRACKING, np.broadcast_to(usual, n))
+        tracking = np.full(n, self.max_tracking_error or TRACKING)
+        if self.max_tracking_error is None and slope is not None:
+            left = np.maximum(kp - slope, LEAST_STIFFNESS)
+            # With less stiffness than that it topples, and no sag is usual.
+            sagged = np.where(kp > slope, OVERSHOOT * sag / left, 0.0)
+            spare = MOST_OF_PEAK * np.array([spec.peak_torque for spec in specs])
+            held = (spare - load - sag) / np.maximum(slope, LEAST_STIFFNESS)
+            usual = np.minimum(sagged, np.minimum(held, LARGEST_SAG))
+            tracking = np.maximum(tracking, usual)
         return replace(
             self,
             rate=rate,
@@ -329,7 +339,12 @@ class Plan:
             )
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(
-            specs, self.timing, self.mobility, self.usual_excess, self.weight_slope
+            specs,
+            self.timing,
+            self.mobility,
+            self.usual_excess,
+            np.max(np.abs(self.trajectory.tau), axis=0),
+            self.trajectory.weight_slope,
         )
         # The transfer keeps the limits, too.
         stated = filter(None, (self.user_limits, self.model_limits))
@@ -354,16 +369,6 @@ class Plan:
             error = WEIGHT * np.abs(trajectory.tau)
         largest = np.max(INTERVAL * error, axis=0)
         return largest + largest_friction(trajectory.joints)
-
-    @property
-    def weight_slope(self) -> Array:
-        """By how much each joint's weight (n,) grows as it sinks, at most about [N m/rad].
-
-        That of a link on a level joint is m g l cos(q), which changes by m g l in a radian.
-        """
-        trajectory = self.trajectory
-        weight = trajectory.tau if trajectory.weight is None else trajectory.weight
-        return np.max(np.abs(weight), axis=0)
 
     @property
     def duration(self) -> float:

@@ -61,6 +61,8 @@ class DamiaoTrajectory:
             friction and no damping [N m]. None where ``weight`` is.
         weight_error: standard errors (N, n) of the weight [N m]. None where no model says them:
             then they are a usual share of it.
+        weight_slope: by how much each joint's weight grows as it sinks (n,), at most in the motion
+            [N m/rad]. None where ``weight`` is.
         foreign_weight: file beside the trajectory that is not its weight, but that of another one;
             nothing of it is used. None where there is none.
         first_line: number of the file's line that holds the first row; None where it is not known.
@@ -75,6 +77,7 @@ class DamiaoTrajectory:
     weight: Array | None = None
     inertia: Array | None = None
     weight_error: Array | None = None
+    weight_slope: Array | None = None
     foreign_weight: Path | None = None
     first_line: int | None = None
 
@@ -232,8 +235,10 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         return trajectory
     if not belongs_to(beside, trajectory.path):
         return replace(trajectory, foreign_weight=beside)
-    weight, inertia = read_weight(beside, len(trajectory.time), trajectory.n_joints)
-    return replace(trajectory, weight=weight, inertia=inertia)
+    weight, inertia, slope = read_weight(
+        beside, len(trajectory.time), trajectory.n_joints
+    )
+    return replace(trajectory, weight=weight, inertia=inertia, weight_slope=slope)
 
 
 def _read_trajectory(path: Path) -> DamiaoTrajectory:

@@ -48,6 +48,8 @@ ARRAY_SIZE = 1_000_000
 bounds the memory for arms with many joints, and changes no result."""
 TILT_NAMES = keys_of(TILTS)
 """Names of the two angles by which a base is tilted."""
+# Angle over which slopes of the weight are taken [rad].
+_TURN = 0.01
 # Spatial inertia (6, 10, 6) per parameter: wrenches of unit accelerations of a resting body.
 _UNIT_WRENCHES = wrench_regressor(np.zeros((6, 6)), np.eye(6))
 
@@ -176,6 +178,20 @@ class ArmDynamics:
         forwards = self.torque(q, motion.qd, motion.qdd)
         backwards = self.torque(q, -motion.qd, motion.qdd)
         return weight, 0.5 * (forwards + backwards) - weight
+
+    def weight_slopes(self, q: Array) -> Array:
+        """Return by how much each joint's weight grows as it sinks (n,), at most in poses (N, n).
+
+        [N m/rad]; 0 of a joint that hangs. With a stiffness below this a joint topples.
+        """
+        still = np.zeros_like(q)
+        slopes = []
+        for j, turn in enumerate(_TURN * np.eye(q.shape[1])):
+            ahead, behind = (
+                self.torque(q + way, still, still) for way in (turn, -turn)
+            )
+            slopes.append(np.max(behind[:, j] - ahead[:, j]) / (2.0 * _TURN))
+        return np.maximum(slopes, 0.0)
 
 
 class BeyondRigidBodies:

@@ -43,15 +43,16 @@ class ArmMotors:
         write: writes a motion to a file that the motors play, and returns lines on what was
             clamped. The motion comes in stretches: time (N,) [s], positions, speeds and
             feed-forward torques (N, n) [rad, rad/s, N m].
-        write_weight: writes what carries and accelerates the arm in that motion, from the SHA-256
-            of the motion's file. It comes in stretches, too: time (N,) [s], and two torques (N, n)
-            as ``ArmDynamics.weight_and_inertia`` returns them [N m].
+        write_weight: writes what carries and accelerates the arm in that motion, which comes in
+            stretches, too: time (N,) [s], and two torques (N, n) as
+            ``ArmDynamics.weight_and_inertia`` returns them [N m]; and ``ArmDynamics.weight_slopes``
+            (n,) [N m/rad], and the SHA-256 of the motion's file.
     """
 
     limits: Limits
     kept_options: Sequence[str]
     write: Callable[[Iterable[MotionChunk], TextIO], list[str]]
-    write_weight: Callable[[Iterable[WeightChunk], str, TextIO], None]
+    write_weight: Callable[[Iterable[WeightChunk], Array, str, TextIO], None]
 
 
 @contextmanager

@@ -33,6 +33,9 @@ from robot_sysid.records.option_fields import (
 from robot_sysid.trajectory import motion_chunks
 from robot_sysid.wording import option_name
 
+# Poses of a motion in which the slopes of the weight are looked at.
+_SLOPE_ROWS = 1000
+
 if TYPE_CHECKING:
     from robot_sysid.motion.prediction import Prediction
     from robot_sysid.pipeline.motors import MotionChunk, WeightChunk
@@ -246,7 +249,9 @@ def draft_motor_file(
     # motion is not kept in memory.
     sha256 = file_sha256(files.draft_of(path))
     with files.open(weight_path) as file:
-        motors.write_weight(weights_of_motion(robot, plan, rate), sha256, file)
+        time = np.linspace(0.0, plan.duration, _SLOPE_ROWS)
+        slope = ArmDynamics(robot).weight_slopes(plan.evaluate(time).q)
+        motors.write_weight(weights_of_motion(robot, plan, rate), slope, sha256, file)
     return (path, weight_path), lines
 
 

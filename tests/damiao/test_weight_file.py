@@ -29,6 +29,8 @@ TENDON = (
     '<tendon><fixed damping="0.5" stiffness="1"><joint joint="joint0" coef="1"/>'
     '<joint joint="joint1" coef="0.5"/></fixed></tendon>'
 )
+SLOPE = np.array([0.0, 31.25])
+"""By how much the weight of MOTION's joints grows as they sink [N m/rad]."""
 DAMPED = arms.serial_arm((arms.Z, arms.Y), extra=TENDON).replace(
     "<joint name",
     '<joint damping="0.7" frictionloss="0.3" stiffness="2" armature="0.1" name',
@@ -46,7 +48,7 @@ def with_file(folder, weight, inertia, sha256=None):
     path = trajectory_file(folder, MOTION).path
     with open(weight_path(path), "w", encoding="utf-8") as file:
         chunks = [(MOTION[0], weight, inertia)]
-        export_weight(chunks, sha256 or file_sha256(path), file)
+        export_weight(chunks, SLOPE, sha256 or file_sha256(path), file)
     return read_damiao_trajectory(path)
 
 
@@ -91,6 +93,7 @@ def test_a_weight_is_read_from_beside_its_trajectory(tmp_path):
     trajectory = with_file(tmp_path, weight, inertia)
     np.testing.assert_allclose(trajectory.weight, weight, rtol=0.0, atol=5.1e-5)
     np.testing.assert_allclose(trajectory.inertia, inertia, rtol=0.0, atol=5.1e-5)
+    np.testing.assert_allclose(trajectory.weight_slope, SLOPE)
     assert trajectory.foreign_weight is None
     assert weight_path(DAMIAO_NAME).name == DAMIAO_WEIGHT_NAME
 
@@ -115,8 +118,9 @@ def test_the_weight_of_another_trajectory_is_never_used(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("j1_inertia", "j1_weight"), "line 2: expected the columns"),
-        (("0.396000", "x"), "below line 2: could not convert"),
+        (("weight_slope=0.00,", "weight_slope="), "line 2: expected weight_slope"),
+        (("j1_inertia", "j1_weight"), "line 3: expected the columns"),
+        (("0.396000", "x"), "below line 3: could not convert"),
         (("0.396000", "nan"), "expected 101 rows of 5 finite numbers"),
         (("\n0.400000,1.0000,1.0000,1.0000,1.0000", ""), "expected 101 rows"),
     ],

@@ -192,3 +192,17 @@ def test_slopes_by_positions_equal_differences(xml, seed):
     slopes = dynamics.motion(q, qd, qdd).slopes(thetas, qd)
     rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
     assert_allclose(slopes, (above - below) / (2.0 * step), rtol=1e-6, atol=rounding)
+
+
+@given(angle=st.floats(-3.0, 3.0))
+def test_the_weight_of_a_pendulum_grows_by_its_sine_as_it_sinks(angle):
+    """m g l cos(q) of a link at q above the level; none where it hangs below it."""
+    robot = arms.robot_of(arms.serial_arm((arms.Y,)))
+    arm = ArmDynamics(robot)
+    still = np.zeros((1, 1))
+    angles = np.linspace(-np.pi, np.pi, 721)[:, None]
+    largest = np.max(np.abs(arm.torque(angles, 0.0 * angles, 0.0 * angles)))
+    quarter = np.full((1, 1), angle + np.pi / 2)
+    across = arm.torque(quarter, still, still)[0, 0]
+    (slope,) = arm.weight_slopes(np.array([[angle]]))
+    assert_allclose(slope, max(-across, 0.0), atol=1e-4 * largest)

@@ -53,7 +53,8 @@ def with_weight_of(robot: RobotModel, trajectory: DamiaoTrajectory) -> DamiaoTra
     out: they are the part of a model that is least like its arm.
     """
     motion = Motion(trajectory.time, trajectory.q, trajectory.qd, trajectory.qdd)
-    weight, inertia = ArmDynamics(robot).weight_and_inertia(motion)
+    dynamics = ArmDynamics(robot)
+    weight, inertia = dynamics.weight_and_inertia(motion)
     # Errors of links bend no faster than the path: one row in so many tells them.
     few = np.linspace(0, len(trajectory.time) - 1, num=ERROR_ROWS).round().astype(int)
     errors = weight_errors(robot, trajectory.q[few]).T
@@ -65,6 +66,7 @@ def with_weight_of(robot: RobotModel, trajectory: DamiaoTrajectory) -> DamiaoTra
         weight=weight,
         inertia=inertia,
         weight_error=error,
+        weight_slope=dynamics.weight_slopes(trajectory.q[few]),
         foreign_weight=None,
     )
 

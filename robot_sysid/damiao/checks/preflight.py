@@ -30,6 +30,7 @@ from robot_sysid.damiao.weight_file import weight_path
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import LIMITED, Limits
 from robot_sysid.records.messages import Level, Remark
+from robot_sysid.records.usual_errors import WEIGHT
 from robot_sysid.wording import option_name
 
 SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
@@ -164,19 +165,37 @@ def stiffness_checks(plan: Plan) -> Iterator[Remark]:
     """Yield a note where an arm may swing farther than a joint may leave its path.
 
     So it does where its weight is off by what models usually are, and its stiffness is low. It is
-    stopped then, although nothing is broken.
+    stopped then, although nothing is broken. With still less the arm topples like a pencil on its
+    end: a stop is yielded where it does so even if its links are as much lighter as they usually
+    are.
     """
     swing = OVERSHOOT * plan.usual_excess
     stiffness = np.array(plan.settings.kp)
     joints = plan.trajectory.joints
-    enough = swing / np.array(plan.settings.tracking) + plan.weight_slope
+    slope = plan.trajectory.weight_slope
+    if slope is None:
+        # That of a link on a level joint is m g l cos(q), which changes by m g l in a radian; that
+        # of an arm that stands upright is more.
+        slope = np.max(np.abs(plan.trajectory.tau), axis=0)
+        topples = np.zeros(len(joints), bool)
+    else:
+        topples = stiffness < (1.0 - WEIGHT) * slope
     # What a motor's frames can carry is the most there is to recommend.
-    for j in np.flatnonzero((stiffness < enough) & (stiffness < protocol.KP_MAX)):
+    enough = swing / np.array(plan.settings.tracking) + slope
+    enough = np.ceil(np.minimum(enough, protocol.KP_MAX))
+    for j in np.flatnonzero(topples):
+        yield stop(
+            f"{joints[j].label}: with a stiffness of {stiffness[j]:g} N·m/rad it topples: as it "
+            f"sinks, its weight grows by {slope[j]:.0f} N·m per radian by the model; use "
+            f"{option_name('kp')} of {enough[j]:g}"
+        )
+    is_low = (stiffness < enough) & (stiffness < protocol.KP_MAX) & ~topples
+    for j in np.flatnonzero(is_low):
         yield note(
             f"{joints[j].label}: with a stiffness of {stiffness[j]:g} N·m/rad it may swing by more "
             f"than {plan.settings.tracking[j]:.2g} rad where the arm's weight is as far from the "
             "model's as it usually is, and is stopped then; "
-            f"{option_name('kp')} of {np.ceil(min(enough[j], protocol.KP_MAX)):g} prevents that"
+            f"{option_name('kp')} of {enough[j]:g} prevents that"
         )
 
 

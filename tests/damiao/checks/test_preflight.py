@@ -18,6 +18,7 @@ from robot_sysid.damiao.checks.preflight import (
     bus_checks,
     direction_checks,
     plan_checks,
+    stiffness_checks,
     watchdog_checks,
 )
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
@@ -46,6 +47,27 @@ def checks_of(rows, types, timing=None, **settings):
 def severities(checks, words):
     """The severity of each check whose text contains these words."""
     return [check.level for check in checks if words in check.text]
+
+
+@given(slope=st.floats(0.0, 200.0), kp=st.floats(1.0, 300.0), load=st.floats(0.0, 9.0))
+def test_a_stiffness_with_which_the_arm_topples_is_refused(slope, kp, load):
+    rows = rows_of(2, torque=np.array([0.0, load]))
+    played = trajectory_of(rows, "DM4340", "DM8009")
+    sinking = replace(played, weight_slope=np.array([0.0, slope]))
+    plan = Plan(sinking, PlaySettings(kp=(100.0, kp)), BusTiming())
+    remarks = [*stiffness_checks(plan)]
+    topples = [r for r in remarks if "topples" in r.text]
+    assert bool(topples) == (kp < 0.8 * slope)
+    assert all(r.level is Level.REFUSES and "motor 2" in r.text for r in topples)
+    # What it may sag has to be held by its motor, which makes 40 N m.
+    _, tracking = plan.settings.tracking
+    assert tracking <= max(0.2, (0.75 * 40.0 - load) / max(slope, 1.0))
+    assert tracking == 0.2 or kp > slope
+    if topples:
+        (text,) = [r.text for r in topples]
+        enough = float(re.search(r"--kp of ([\d.]+)", text)[1])
+        better = Plan(sinking, PlaySettings(kp=(100.0, enough)), BusTiming())
+        assert not [r for r in stiffness_checks(better) if "topples" in r.text]
 
 
 @given(worst=st.floats(0.0, 0.2), speed=st.floats(0.05, 1.0))
