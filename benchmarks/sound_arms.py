@@ -12,7 +12,7 @@ with another stiffness (20 to 100 N m/rad, or what carries it) and another rate 
 CAN-FD above 250); it is played with a model and without. Public models that are not at hand are
 left out.
 
-The exit code is 1 where a run was stopped or refused.
+The exit code is 1 where a run was stopped or refused, or played and then called not usable.
 """
 
 from __future__ import annotations
@@ -52,24 +52,35 @@ def options_of(
         yield draw_options(arm, folder, seed, speed, has_model, DURATION)
 
 
+ACCUSED = "accused"
+"""How a run ended that played to its end, and whose recording was then called not usable."""
+
+
 def result_of(options: RunOptions, folder: Path) -> tuple[RunOptions, str, str]:
     """Play once; return how, how it ended, and the message."""
     run: Run = run_arm(options, folder)
-    return options, run.exit, run.message
+    is_accused = run.exit == COMPLETED and run.code != 0
+    return options, ACCUSED if is_accused else run.exit, run.message
 
 
-def print_line(arm: str, speed: float, results: list, seconds: float) -> int:
-    """Print what came of an arm at a speed; return how many runs did not come to their end."""
-    stopped = [message for _, ending, message in results if ending != COMPLETED]
-    words = Counter(map(shorten_message, stopped)).most_common(3)
+def print_line(arm: str, speed: float, results: list, seconds: float) -> Counter:
+    """Print what came of an arm at a speed; return how many runs ended how."""
+    endings = Counter(ending for _, ending, _ in results)
+    wrong = [message for _, ending, message in results if ending != COMPLETED]
+    words = Counter(map(shorten_message, wrong)).most_common(3)
     text = "; ".join(f"{count}x {message}" for message, count in words)
     cost = seconds / len(results)
     print(
-        f"{arm:14s} {speed:4g}  stopped {len(stopped):2d} of {len(results):2d}  "
-        f"[{cost:.1f} s per run]  {text}",
+        f"{arm:14s} {speed:4g}  stopped {n_stopped(endings):2d}, accused {endings[ACCUSED]:2d} "
+        f"of {len(results):2d}  [{cost:.1f} s per run]  {text}",
         flush=True,
     )
-    return len(stopped)
+    return endings
+
+
+def n_stopped(endings: Counter) -> int:
+    """Return how many runs were stopped or refused."""
+    return endings.total() - endings[COMPLETED] - endings[ACCUSED]
 
 
 def main() -> int:
@@ -88,8 +99,7 @@ def main() -> int:
     models = {"both": (True, False), "with": (True,), "without": (False,)}
     seeds = range(arguments.first, arguments.first + arguments.runs)
     arms = [arm for arm in arguments.arms if SOUND_ARMS[arm].is_at_hand]
-    n_stopped = 0
-    n_runs = 0
+    endings: Counter = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for arm in arms:
@@ -109,10 +119,12 @@ def main() -> int:
                             flush=True,
                         )
                 seconds = time.monotonic() - begun
-                n_stopped += print_line(arm, speed, results, seconds)
-                n_runs += len(results)
-    print(f"\nstopped {n_stopped} of {n_runs} runs of sound arms")
-    return int(n_stopped > 0)
+                endings += print_line(arm, speed, results, seconds)
+    print(
+        f"\nof {endings.total()} runs of sound arms {n_stopped(endings)} were stopped, and "
+        f"{endings[ACCUSED]} played, but called not usable"
+    )
+    return int(endings[COMPLETED] < endings.total())
 
 
 if __name__ == "__main__":

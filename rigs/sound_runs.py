@@ -58,8 +58,9 @@ MOST_RATE = 500.0
 LEAST_STIFFNESS = 20.0
 MOST_STIFFNESS = 100.0
 """Between which rates [Hz] and stiffnesses [N m/rad] runs are drawn."""
-MOST_SAG = 0.15
-"""How far an arm may sag by its stiffness [rad]; a run is stopped at 0.2, as it should be."""
+MOST_SAG = 0.1
+"""How far an arm may sag by the error of its weight [rad]; friction, and the sag of other joints,
+add to it, and a run is stopped at 0.2, as it should be."""
 LEAST_OVER_GRAVITY = 1.5
 """Least stiffness over the slope of the weight, below which an arm topples like a pencil on end."""
 NEAR = 0.01
@@ -158,12 +159,14 @@ class PlannedMotion:
         thetas = drawn_links(self.robot, seed)
         true = resting_torque(self.robot, self.q, thetas)
         fed = resting_torque(self.robot, self.q, self.robot.thetas)
-        sagging = float(np.abs(true - fed).max()) / MOST_SAG
+        sagging = np.abs(true - fed).max(axis=0) / MOST_SAG
         slopes = []
-        for turn in NEAR * np.eye(self.robot.n_joints):
+        for j, turn in enumerate(NEAR * np.eye(self.robot.n_joints)):
             ahead = resting_torque(self.robot, self.q + turn, thetas)
-            slopes.append(float(np.abs(ahead - true).max()) / NEAR)
-        return max(sagging, LEAST_OVER_GRAVITY * max(slopes))
+            slopes.append(float(np.abs(ahead - true)[:, j].max()) / NEAR)
+        # An arm that sinks takes up more of its weight.
+        least = np.maximum(sagging + slopes, LEAST_OVER_GRAVITY * np.array(slopes))
+        return float(least.max())
 
     def telling_joints(self):
         """Return the numbers of the joints that carry most and second most, and of a wrist's."""
