@@ -157,7 +157,9 @@ def scored(
     # What was asked may change by more than a standard error. Other terms take less for a shape.
     change = np.abs(offer.change[fitted.at(asked(fitted))])
     is_harmful = share > (0.015 if explanation.is_shape else UNEXPLAINED)
-    is_harmful |= not explanation.is_shape and np.any(change > errors)
+    # An arm that is compared with its model is asked for no link: only its torques count.
+    is_of_link = not explanation.is_shape and fitted.question.differing is None
+    is_harmful |= is_of_link and np.any(change > errors)
     level = explanation.level if is_harmful else Level.SAYS
     is_of_log = explanation.effect.joint is None
     is_of_log &= explanation.level is not Level.SAYS

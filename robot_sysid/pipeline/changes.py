@@ -41,10 +41,17 @@ from robot_sysid.estimate.terms import (
     ArmTerms,
 )
 from robot_sysid.records import Array, parameters
-from robot_sysid.records.levels import FALSE_ALARMS, SURE
+from robot_sysid.records.levels import ALARMING, FALSE_ALARMS, SURE, TELLING
 from robot_sysid.records.messages import torque_unit
 from robot_sysid.records.parameters import Parameter
-from robot_sysid.records.usual_errors import WEIGHT
+from robot_sysid.records.usual_errors import DELAY as DELAY_ERROR
+from robot_sysid.records.usual_errors import (
+    LINKS_AS_OFFSET,
+    LINKS_AS_SCALE,
+    LINKS_AS_TILT,
+    LINKS_AS_ZERO,
+    WEIGHT,
+)
 from robot_sysid.results.record import Quantity
 from robot_sysid.spatial import PARAMETER_NAMES
 
@@ -146,10 +153,12 @@ class Differences:
     Attributes:
         rows: the numbers that were compared.
         fit: the fit in which those that differ do so.
+        is_certain: whether one of them is more than links as wrong as usual look like.
     """
 
     rows: tuple[Change, ...]
     fit: Fit
+    is_certain: bool
 
 
 def differences(fitted: Fit) -> Differences:
@@ -178,7 +187,57 @@ def differences(fitted: Fit) -> Differences:
     causes = SCALES, ZEROS, OFFSET.name, DELAY, TILT, LAST_LINK
     comparison = _Comparison(fitted, candidates, causes, (), 1.0)
     rows = (*comparison.rows(), *_weights(comparison.right, fitted), *_friction(fitted))
-    return Differences(rows, comparison.right)
+    is_certain = any(
+        row.reason == DIFFERS and _is_certain(row, comparison.right, candidates)
+        for row in rows
+    )
+    return Differences(rows, comparison.right, is_certain)
+
+
+def _is_certain(row: Change, fitted: Fit, candidates: Sequence[Candidate]) -> bool:
+    """Return whether a row that differs is more than what links as wrong as usual look like.
+
+    Args:
+        row: of a candidate, or of the weight of all links, whose bound has these links in it.
+        fitted: the fit in which it differs.
+        candidates: all that were compared.
+    """
+    usual = 0.0
+    share = 1.0
+    for each in candidates:
+        if not each.is_body and (_name(each.parameter), each.parameter.of) == (
+            row.name,
+            row.of,
+        ):
+            usual = _like_links(row, fitted)
+            share = _torque_share(fitted, each.names)
+    error = float(np.hypot(row.error or 0.0, usual))
+    return share > TELLING and abs(row.value) > ALARMING * error
+
+
+def _like_links(row: Change, fitted: Fit) -> float:
+    """Return what links as wrong as usual look like as a row's number, in its unit."""
+    if row.name == "offset":
+        torque = fitted.sums.rms_torque[fitted.arm.joints.index(row.of)]
+        return LINKS_AS_OFFSET * float(torque)
+    return {
+        "scale": LINKS_AS_SCALE,
+        "zero": LINKS_AS_ZERO,
+        "tilt": LINKS_AS_TILT,
+        "delay": DELAY_ERROR,
+    }[row.name]
+
+
+def _torque_share(fitted: Fit, names: Sequence[str]) -> float:
+    """Return which share of all torque the named parameters make, root mean square."""
+    sums = fitted.sums
+    values = np.zeros(len(sums.names) + 1)
+    values[sums.at(names)] = fitted.free[fitted.at(names)]
+    squares = sum(
+        float(values[columns] @ total @ values[columns]) / count
+        for columns, total, count in zip(sums.columns, sums.totals, sums.row_counts)
+    )
+    return float(np.sqrt(squares / np.sum(sums.rms_torque**2)))
 
 
 def _weights(fitted: Fit, usual: Fit) -> Iterator[Change]:

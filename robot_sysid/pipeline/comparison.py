@@ -52,9 +52,6 @@ from robot_sysid.records.messages import (
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
 
-CERTAIN = 4.5
-"""Standard errors from which a difference from the model is more than said: links and friction that
-are as usual, of an arm whose model's friction is far off, have made a zero of 4.8 ± 1.1 degrees."""
 OTHER_FRICTION = 0.5
 """Difference from the model's friction from which on it is said, as a share of that."""
 # Checks that find that nothing explains a log.
@@ -208,10 +205,11 @@ def compare_with_model(
         and each.about not in (_MOMENTARY, *config.log.accept)
     ]
     rows: tuple[Change, ...] = ()
-    explains = False
+    explains = is_certain = False
     try:
         differing = differences(judged.fit)
         rows = differing.rows
+        is_certain = differing.is_certain
         explains = differing.fit.unexplained_share < UNEXPLAINED
     except SysidError:
         # More differs than a few numbers: it does not fit.
@@ -227,10 +225,6 @@ def compare_with_model(
     # Numbers that explain all say more than what was found one after the other.
     if explains and (is_differing or not found):
         verdict = verdict_on(rows, of_model=True)
-        is_certain = any(
-            row.reason == DIFFERS and abs(row.value) > CERTAIN * (row.error or 0.0)
-            for row in rows
-        )
         if is_differing and not is_certain:
             notes = (
                 f"perhaps, but not certain: {'; '.join(sentences(rows, True))}",

@@ -9,3 +9,12 @@ INTERVAL = 2.0
 """Standard errors of a printed ±: the interval that holds a number with 95 %."""
 FALSE_ALARMS = 0.01
 """Share of pairs of logs of an unchanged arm in which a change is named, all numbers together."""
+STOPPING = 4.0
+"""Standard errors of an arm's weight from which a run is stopped: each joint is compared thousands
+of times in a run, so that three are too few."""
+ALARMING = 4.5
+"""Standard errors from which a difference from the model fails a command, those of what links as
+wrong as usual look like included: every run of a sound arm is compared in thirty numbers."""
+TELLING = 0.02
+"""Least share of all torque that such a difference has to make: a wrist that carries next to
+nothing shows a zero of 9 ± 2 or 13 ± 3 degrees, which is its friction."""
