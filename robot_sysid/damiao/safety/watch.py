@@ -47,7 +47,7 @@ from robot_sysid.damiao.safety.plausibility import Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings, slowed_in_a_cycle
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
-from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.levels import INTERVAL, STOPPING
 
 # Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s;
 # with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
@@ -62,9 +62,8 @@ _SCALE = 0.03
 # Most that the torque which a joint needs may change within a second without a word, over its
 # motor's peak: a motor that makes half of its torque needs more than that of a loaded joint.
 _MOST_LOAD = 0.2
-# Standard errors of the weight from which a run is stopped: each joint is compared thousands of
-# times in a run, so that three are too few.
-_CERTAIN = 4.0
+# Amplitude of a swing over the mean of its part on one side.
+_CREST = np.pi
 # Rows of the watch: which of the three disagrees, then its two numbers.
 _ROWS = (
     "position: it is at {:.3f} rad, and commanded to {:.3f}",
@@ -167,6 +166,9 @@ class Watch:
         # Means over 1 s (2, n) of the change of position and of the reported velocity, with their
         # signs: of a joint that moves to and fro, what only the positions do is left.
         self._drift = np.zeros((2, n_joints))
+        # Means over 1 s (2, n) of what the control adds beyond what it usually adds, and below that
+        # [N m]: what swings does both.
+        self._swing = np.zeros((2, n_joints))
         # Answers in a row with the same position and velocity, and commanded position and torque
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
@@ -259,6 +261,8 @@ class Watch:
         self._drift += share * (self._short[1:3] - self._drift)
         if phase.rises:
             self._long[6:] = self._short[6:]
+        beside = self._short[7] - self._usually_added
+        self._swing += share * (np.maximum([beside, -beside], 0.0) - self._swing)
 
     def _check_rows(
         self, replies: Replies, acted: MitCommand, followed: Reference, phase: Phase
@@ -296,6 +300,8 @@ class Watch:
         moved = np.minimum(_LONG * np.max(long_way, initial=0.0), 1.0)
         usual = np.nan_to_num(moved * INTERVAL * followed.weight_error)
         load = np.maximum(load, np.minimum(usual, _MOST_LOAD * peak))
+        # A heavy joint with little damping swings about its path, and has done so before.
+        load = load + _CREST * np.min(self._swing, axis=0)
         # A joint that sticks and slips needs its friction one way, and at once the other way.
         load = np.where(stands, load, np.maximum(load, 2.0 * self._friction))
         torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
@@ -363,16 +369,32 @@ class Watch:
         Friction may carry a joint that sticks or goes down, but not one that is lifted.
         """
         weight = followed.weight
+        is_opposite = self._is_opposite(weight, followed.weight_error)
+        if self._holding.is_model and np.any(is_opposite):
+            # A soft arm sags, and its links weigh differently there: both poses have to say it.
+            q = self._last[1]
+            is_opposite &= self._is_opposite(
+                self._holding.torque(q), self._holding.error(q)
+            )
+        self._check_load(is_opposite, self._short[7] + weight, weight)
+
+    def _is_opposite(self, weight: Array, error: Array) -> Mask:
+        """Return which joints (n,) carry the arm against the direction of their weight.
+
+        ``weight`` (n,) is what a pose needs, ``error`` (n,) its standard errors [N m].
+        """
         sign = np.sign(weight)
         # What is fed beyond the weight accelerates the arm.
         carried = self._short[7] + weight
         lifts = np.minimum(sign * self._short[1], sign * self._short[3])
-        helped = np.where(lifts > self._velocity_step, 0.0, self._friction)
+        is_lifted = lifts > self._velocity_step
+        helped = np.where(is_lifted, 0.0, self._friction)
         # Where the weights of two links cancel, the model may have the sign wrong.
-        least = np.abs(weight) - _CERTAIN * followed.weight_error
+        least = np.abs(weight) - STOPPING * error
         is_opposite = sign * carried + helped < np.minimum(least, -0.5 * self._doubt)
-        is_loaded = np.abs(weight) > LOADED * self._doubt
-        self._check_load(is_opposite & is_loaded, carried, weight)
+        # Nothing but its motor lifts a joint, so that a smaller load is judged there.
+        least_load = np.where(is_lifted, 1.0, LOADED) * self._doubt
+        return is_opposite & (np.abs(weight) > least_load)
 
     def _slowed_speed(self, way: Array, speed: Array) -> Array:
         """Return the mean speed (n,) [rad/s] nearest to ``way`` that a sampled ``speed`` allows."""
