@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs import arms
 from rigs.damiao_rig import swing, trajectory_of
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import (
@@ -17,6 +18,7 @@ from robot_sysid.damiao.references import (
 from robot_sysid.damiao.safety.holding import HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.stopping import CarriedStop, Lowering
 from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.records import Limits
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -287,3 +289,49 @@ def test_a_load_is_judged_from_twice_the_torque_that_friction_hides(loads, is_ju
     assert check.contradicts(q, 0.0 * torque) == is_judged
     # Against the load it turns the other way.
     assert check.contradicts(q, -torque)
+
+
+@given(speed=st.floats(0.06, 1.0), moves=st.booleans())
+def test_a_stop_ends_soon_where_an_encoder_says_that_its_joint_moves_and_stays(
+    speed, moves
+):
+    """What it holds is not where it says: holding on turns the joint. What moves is held."""
+    settings = stop_settings(2)
+    zero = np.zeros(2)
+    at_rest = Reference(zero, zero, zero)
+    path = CarriedStop(settings, at_rest, zero, zero, zero, zero != 0.0, Limits())
+    one = np.array([0.0, 1.0])
+    time = 0.0
+    while not path.is_done and time < 2.0:
+        path(time)
+        time += PERIOD
+        path.follow(moves * speed * time * one, speed * one, zero)
+    assert (time >= 2.0) == moves
+    assert moves or time < settings.rest_time + 0.5
+
+
+SINKS = st.lists(st.floats(-0.2, 0.2), min_size=2, max_size=2)
+
+
+@given(moved=SINKS)
+def test_the_weight_of_an_upright_arm_changes_by_no_more_than_its_slopes_say(moved):
+    """Those of all poses of the motion."""
+    robot = arms.robot_of(arms.serial_arm((arms.Y, arms.Y)))
+    arm = ArmDynamics(robot)
+    upright = np.array([[np.pi / 2, 0.0]])
+    if arm.weight_slopes(upright)[0] == 0.0:
+        upright = -upright
+    still = np.zeros((1, 2))
+
+    def torque(q):
+        return arm.torque(q[None], still, still)[0]
+
+    turns = np.linspace(-0.5, 0.5, 11)
+    poses = upright + np.stack(np.meshgrid(turns, turns), axis=-1).reshape(-1, 2)
+    slope = arm.weight_slopes(poses)
+    joints = (DamiaoJoint("DM4340", 1, 0x11), DamiaoJoint("DM4340", 2, 0x12))
+    file = HoldingTorque(joints, torque, torque_doubt(joints), upright[0], slope=slope)
+    change = torque(upright[0] + moved) - torque(upright[0])
+    assert np.all(np.abs(change) <= file.change_of_weight(np.array(moved)) + 1e-9)
+    unknown = HoldingTorque(joints, torque, torque_doubt(joints), upright[0])
+    assert not np.any(unknown.change_of_weight(np.array(moved)))

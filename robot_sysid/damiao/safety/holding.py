@@ -49,6 +49,8 @@ class HoldingTorque:
         pose: pose (n,) [rad] near which the torque is known; None where in every pose.
         carries_arm: whether the torque may carry an arm that has weight.
         robot: model of the arm; None without one.
+        slope: by how much each joint's weight grows as it sinks (n,) [N m/rad]; None where it is
+            not known.
     """
 
     joints: Sequence[DamiaoJoint]
@@ -57,6 +59,7 @@ class HoldingTorque:
     pose: Array | None = None
     carries_arm: bool = True
     robot: RobotModel | None = None
+    slope: Array | None = None
 
     @property
     def is_model(self) -> bool:
@@ -86,7 +89,20 @@ class HoldingTorque:
         size = np.abs(expected) / self.doubt
         # Below half of the doubt a loaded joint counts as unloaded.
         least = np.where(size > LOADED, 0.5, -1.0) * self.doubt
+        if self.pose is not None:
+            least = least - self.change_of_weight(q - self.pose)
         return (size > 1.0) & (np.sign(expected) * tau < least)
+
+    def change_of_weight(self, moved: Array) -> Array:
+        """Return by how much weights (n,) may change where joints have moved by (n,) [N m].
+
+        The weight is the slope of a potential: its slopes by other joints are at most about the
+        geometric means of those by the joints themselves. 0 where no slope is known.
+        """
+        if self.slope is None:
+            return np.zeros_like(moved)
+        roots = np.sqrt(self.slope)
+        return roots * np.sum(roots * np.abs(moved))
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
@@ -166,4 +182,5 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingTorque:
         doubt,
         pose=q[0] if is_at_rest else np.full_like(q[0], np.nan),
         carries_arm=bool(np.any(np.abs(trajectory.tau) > doubt)),
+        slope=trajectory.weight_slope,
     )

@@ -15,6 +15,10 @@ from robot_sysid.damiao.safety.plausibility import Mask
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.records import Array, Limits
 
+# A slower joint is at rest [rad/s], and so is one that stays as near [rad] (a judgement).
+_AT_REST = 0.05
+_STRAY = 0.02
+
 
 class CarriedStop(Follower):
     """A reference that brakes all joints together and then carries them.
@@ -72,6 +76,9 @@ class CarriedStop(Follower):
         self._limits = limits
         self._rest_time = settings.rest_time
         self._time = self._moved_at = 0.0
+        # Position (n,) that each joint last left by more than ``_STRAY``, and when [rad, s].
+        self._stood = q
+        self._gone_at = np.zeros(len(q))
         # Velocity from which each joint brakes: its own, between zero and its reference's.
         led = reference.velocity
         own = np.where(np.isfinite(qd), qd, led)
@@ -131,8 +138,13 @@ class CarriedStop(Follower):
         torque = torque + self._added + self._sinks * self._lift
         torque = torque + self._stiffening * np.nan_to_num(lag)
         torque = torque + 0.25 * self._kd * np.nan_to_num(velocity - self._qd)
-        # Slower joints are at rest [rad/s] (a judgement).
-        if left > 0.0 or np.any(np.abs(self._qd) > 0.05):
+        has_gone = np.abs(self._q - self._stood) > _STRAY
+        self._stood = np.where(has_gone, self._q, self._stood)
+        self._gone_at = np.where(has_gone, time, self._gone_at)
+        # An encoder that drifts says that its joint moves and stays: holding on turns the joint.
+        moves = np.abs(self._qd) > _AT_REST
+        moves &= time - self._gone_at <= _STRAY / _AT_REST
+        if left > 0.0 or np.any(moves):
             self._moved_at = time
         self.last = Reference(position, velocity, torque)
         return self.last

@@ -76,6 +76,10 @@ _ROWS = (
     "torque: it reports {:.1f} N·m, and the path feeds forward {:.1f}",
     "torque: it needs {:.1f} N·m, and by the last second it would need {:.1f}",
 )
+# Places in ``_ROWS``: what samples of the speed say, and what is fed and needed.
+_SAMPLED = slice(2, 5)
+_FED = 7
+_NEEDED = 8
 _CARRIES = "torque: it carries the arm with {:.1f} N·m, and {:.1f} are expected"
 _REPEATS = (
     "position: it reports {:.3f} rad again and again, and its command has gone on by "
@@ -150,8 +154,9 @@ class Watch:
         self._spring = 0.05 * kp
         rated = np.array([joint.spec.rated_torque for joint in joints])
         # How far a standing joint may sag: an arm half a radian from the first point, or with a new
-        # load, needs half of this.
+        # load, needs half of this. And how far it may go where its own torque pushes it.
         self._sag = np.minimum(2.0 * rated / kp, settings.tracking)
+        self._pushed = np.minimum(rated / kp, settings.tracking)
         # How much faster a joint is on average than where it is sampled.
         self._slowed = slowed_in_a_cycle(settings.period, kp, np.array(settings.kd))
         # Time, position and velocity (3, n) of each joint's last sample.
@@ -333,11 +338,11 @@ class Watch:
         ]
         measured, expected, bounds = map(np.array, zip(*rows))
         if phase.rises:
-            bounds[7:] = np.inf
+            bounds[_FED:] = np.inf
         if phase.settles:
-            bounds[8] = np.inf
+            bounds[_NEEDED] = np.inf
         # Samples say nothing of a joint that may come to rest within each cycle.
-        bounds[2:5, self._slowed > 2.0] = np.inf
+        bounds[_SAMPLED, self._slowed > 2.0] = np.inf
         residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
         self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
         excess = residuals / bounds
@@ -369,19 +374,22 @@ class Watch:
         Friction may carry a joint that sticks or goes down, but not one that is lifted.
         """
         weight = followed.weight
-        is_opposite = self._is_opposite(weight, followed.weight_error)
-        if self._holding.is_model and np.any(is_opposite):
-            # A soft arm sags, and its links weigh differently there: both poses have to say it.
-            q = self._last[1]
+        error = STOPPING * followed.weight_error
+        # A soft arm sags, and its links weigh differently there: both poses have to say it.
+        q = self._last[1]
+        holding = self._holding
+        error = error + holding.change_of_weight(q - followed.position)
+        is_opposite = self._is_opposite(weight, error)
+        if holding.is_model and np.any(is_opposite):
             is_opposite &= self._is_opposite(
-                self._holding.torque(q), self._holding.error(q)
+                holding.torque(q), STOPPING * holding.error(q)
             )
         self._check_load(is_opposite, self._short[7] + weight, weight)
 
     def _is_opposite(self, weight: Array, error: Array) -> Mask:
         """Return which joints (n,) carry the arm against the direction of their weight.
 
-        ``weight`` (n,) is what a pose needs, ``error`` (n,) its standard errors [N m].
+        ``weight`` (n,) is what a pose needs, ``error`` (n,) by how much it may be off [N m].
         """
         sign = np.sign(weight)
         # What is fed beyond the weight accelerates the arm.
@@ -390,7 +398,7 @@ class Watch:
         is_lifted = lifts > self._velocity_step
         helped = np.where(is_lifted, 0.0, self._friction)
         # Where the weights of two links cancel, the model may have the sign wrong.
-        least = np.abs(weight) - STOPPING * error
+        least = np.abs(weight) - error
         is_opposite = sign * carried + helped < np.minimum(least, -0.5 * self._doubt)
         # Nothing but its motor lifts a joint, so that a smaller load is judged there.
         least_load = np.where(is_lifted, 1.0, LOADED) * self._doubt
@@ -459,7 +467,7 @@ class Watch:
             fed: feed-forward torque (n,) [N m].
         """
         # No load pulls in the direction of the feed-forward torque.
-        return np.where(self.is_pushed(q, reference_q, fed), 0.5, 1.0) * self._sag
+        return np.where(self.is_pushed(q, reference_q, fed), self._pushed, self._sag)
 
     def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Return whether each joint (n,) has moved in the direction of its feed-forward torque.
