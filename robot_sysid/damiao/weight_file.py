@@ -130,7 +130,8 @@ def read_weight(path: Path, n_rows: int, n_joints: int) -> tuple[Array, Array, A
         reason = str(error).partition(";")[0]
         raise InputError(f"{path}, below line {_HEAD_LINES}: {reason}") from None
     shape = n_rows, len(titles)
-    if table.shape != shape or not np.all(np.isfinite([*table.flat, *slope])):
+    is_finite = np.all(np.isfinite(table)) and np.all(np.isfinite(slope))
+    if table.shape != shape or not is_finite:
         raise InputError(
             f"{path}: expected {n_rows} rows of {len(titles)} finite numbers, as many rows as its "
             f"trajectory has; {remedy}"
