@@ -174,6 +174,8 @@ class Watch:
         # Means over 1 s (2, n) of what the control adds beyond what it usually adds, and below that
         # [N m]: what swings does both.
         self._swing = np.zeros((2, n_joints))
+        # How long each joint's reference has stood (n,) [s].
+        self._held = np.zeros(n_joints)
         # Answers in a row with the same position and velocity, and commanded position and torque
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
@@ -215,6 +217,8 @@ class Watch:
         commanded = acted.motor_torque(feedback.position, feedback.velocity)
         self._check_repeats(replies, acted, commanded)
         self._average(replies, acted, commanded, phase)
+        is_held = followed.velocity == 0.0
+        self._held = np.where(is_held, self._held + self._settings.period, 0.0)
         self._check_rows(replies, acted, followed, phase)
         if phase.rises:
             return
@@ -295,20 +299,23 @@ class Watch:
         tracking = np.array(settings.tracking)
         if phase.stands:
             tracking = self.standing_limit(q, acted.position, acted.torque)
-        # A standing joint has no friction that reverses, so its bound is lower.
-        stands = np.abs(acted.velocity) <= self._velocity_step
-        stands &= self._long[3] <= self._velocity_step
+        # A joint that has stood for a while has no friction that reverses: its bound is lower.
+        has_stood = self._long[3] <= self._velocity_step
+        has_stood |= self._held > _LONG
+        stands = (np.abs(acted.velocity) <= self._velocity_step) & has_stood
         load = np.clip(
             self._spring, np.where(stands, 0.03, 0.1) * peak, _MOST_LOAD * peak
         )
-        # What the weight is usually off changes with the pose: by all of it within a radian.
-        moved = np.minimum(_LONG * np.max(long_way, initial=0.0), 1.0)
+        # What the weight is usually off changes with the pose: by all of it within a radian. An arm
+        # that sinks where it is to stand has not been led anywhere.
+        moved = np.minimum(_LONG * np.max(self._long[3], initial=0.0), 1.0)
         usual = np.nan_to_num(moved * INTERVAL * followed.weight_error)
         load = np.maximum(load, np.minimum(usual, _MOST_LOAD * peak))
-        # A heavy joint with little damping swings about its path, and has done so before.
-        load = load + _CREST * np.min(self._swing, axis=0)
-        # A joint that sticks and slips needs its friction one way, and at once the other way.
-        load = np.where(stands, load, np.maximum(load, 2.0 * self._friction))
+        # A heavy joint with little damping swings about its path, and has done so before. A joint
+        # that sticks and slips needs its friction one way, and at once the other way.
+        swinging = load + _CREST * np.min(self._swing, axis=0)
+        moving = np.maximum(swinging, 2.0 * self._friction)
+        load = np.where(stands, load, moving)
         torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
         # Measured, expected and bound of each of ``_ROWS``.
         rows = [
