@@ -80,7 +80,7 @@ def print_line(arm: str, speed: float, results: list, seconds: float) -> Counter
 
 def n_stopped(endings: Counter) -> int:
     """Return how many runs were stopped or refused."""
-    return endings.total() - endings[COMPLETED] - endings[ACCUSED]
+    return sum(endings.values()) - endings[COMPLETED] - endings[ACCUSED]
 
 
 def main() -> int:
@@ -121,10 +121,10 @@ def main() -> int:
                 seconds = time.monotonic() - begun
                 endings += print_line(arm, speed, results, seconds)
     print(
-        f"\nof {endings.total()} runs of sound arms {n_stopped(endings)} were stopped, and "
+        f"\nof {sum(endings.values())} runs of sound arms {n_stopped(endings)} were stopped, and "
         f"{endings[ACCUSED]} played, but called not usable"
     )
-    return int(endings[COMPLETED] < endings.total())
+    return int(endings[COMPLETED] < sum(endings.values()))
 
 
 if __name__ == "__main__":
