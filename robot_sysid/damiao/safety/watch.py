@@ -174,8 +174,6 @@ class Watch:
         # Means over 1 s (2, n) of what the control adds beyond what it usually adds, and below that
         # [N m]: what swings does both.
         self._swing = np.zeros((2, n_joints))
-        # How long each joint's reference has stood (n,) [s].
-        self._held = np.zeros(n_joints)
         # Answers in a row with the same position and velocity, and commanded position and torque
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
@@ -217,8 +215,6 @@ class Watch:
         commanded = acted.motor_torque(feedback.position, feedback.velocity)
         self._check_repeats(replies, acted, commanded)
         self._average(replies, acted, commanded, phase)
-        is_held = followed.velocity == 0.0
-        self._held = np.where(is_held, self._held + self._settings.period, 0.0)
         self._check_rows(replies, acted, followed, phase)
         if phase.rises:
             return
@@ -299,10 +295,9 @@ class Watch:
         tracking = np.array(settings.tracking)
         if phase.stands:
             tracking = self.standing_limit(q, acted.position, acted.torque)
-        # A joint that has stood for a while has no friction that reverses: its bound is lower.
-        has_stood = self._long[3] <= self._velocity_step
-        has_stood |= self._held > _LONG
-        stands = (np.abs(acted.velocity) <= self._velocity_step) & has_stood
+        # A standing joint has no friction that reverses, so its bound is lower.
+        stands = np.abs(acted.velocity) <= self._velocity_step
+        stands &= self._long[3] <= self._velocity_step
         load = np.clip(
             self._spring, np.where(stands, 0.03, 0.1) * peak, _MOST_LOAD * peak
         )
