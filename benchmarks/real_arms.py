@@ -1,10 +1,10 @@
 """How often stated 95 % intervals contain the truth, on arms that are off as real ones are.
 
     python -m benchmarks.real_arms MODELS_FOLDER [--logs 20] [--arms ur5e iiwa14 ...]
-        [--deviations real priors exact] [--first-seed 0]
+        [--deviations real priors exact bent presliding] [--durations 8 20 60] [--first-seed 0]
 
-Each log is of another arm. Its duration is 8, 20 or 60 s. Every other log has white torque
-noise, the rest noise with a memory of 20 samples.
+Each log is of another arm. Its duration is 8, 20 or 60 s, or what is asked for. Every other log has
+white torque noise, the rest noise with a memory of 20 samples.
 
 real    links as real model files have them: masses off by 10 to 20 %, one link 40 % heavier,
         centres of mass by 15 % of the radius of gyration, inertias by 15 %; torque scales off by
@@ -12,6 +12,11 @@ real    links as real model files have them: masses off by 10 to 20 %, one link 
         friction, and 2 to 6 % of the load lost in the gear
 priors  everything drawn from the default priors
 exact   nothing off but noise; Coulomb and viscous friction
+bent    as real, and friction that rises ever less with speed, as large as Coulomb friction
+presliding
+        as real, and dry friction that turns round over 1 mrad of travel
+
+The last two are drawn where they are asked for.
 
 Two of the arms have torque sensors behind the gears: a tenth of the friction, no rotor inertia.
 Printed per arm and deviation, and of all arms: coverage, root mean square of error over stated
@@ -25,7 +30,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,15 +49,20 @@ from robot_sysid.spatial import PARAMETER_NAMES
 USUAL_ARMS = ("ur5e", "iiwa14", "panda", "gen3")
 SENSOR_ARMS = ("iiwa14", "panda", "fr3")
 """Arms whose torque sensors sit behind the gears."""
+USUAL_DEVIATIONS = ("real", "priors", "exact")
 DURATIONS = (8.0, 20.0, 60.0)
 
 
 def draw_arms(
-    robot: RobotModel, arm_name: str, deviation: str, seeds: range
+    robot: RobotModel,
+    arm_name: str,
+    deviation: str,
+    seeds: range,
+    durations: Sequence[float] = DURATIONS,
 ) -> Iterator[Truth]:
     """Yield an arm per seed, of all durations and both kinds of noise in turn."""
     for seed in seeds:
-        duration = DURATIONS[seed % len(DURATIONS)]
+        duration = durations[seed % len(durations)]
         has_sensors = arm_name in SENSOR_ARMS
         yield draw_arm(robot, deviation, has_sensors, duration, seed % 2 == 0, seed)
 
@@ -149,7 +159,13 @@ class Tally:
         )
 
 
-def study(path: Path, arm_name: str, deviation: str, seeds: range) -> Tally:
+def study(
+    path: Path,
+    arm_name: str,
+    deviation: str,
+    seeds: range,
+    durations: Sequence[float] = DURATIONS,
+) -> Tally:
     """Return the errors and counts of logs of arms that differ from a model file."""
     tally = Tally({})
     robot = load_robot_model(path)
@@ -157,7 +173,7 @@ def study(path: Path, arm_name: str, deviation: str, seeds: range) -> Tally:
         folder = Path(name)
         model = folder / "model.xml"
         model.write_text(bare_model_text(path))
-        for truth in draw_arms(robot, arm_name, deviation, seeds):
+        for truth in draw_arms(robot, arm_name, deviation, seeds, durations):
             write_log(folder / "log.csv", robot.joint_names, truth.log)
             answer, _ = identify_logs(folder, model, [folder / "log.csv"])
             tally.add(truth.arm, answer)
@@ -193,22 +209,25 @@ def main() -> int:
     parser = arms_parser(__doc__)
     parser.add_argument("--logs", type=int, default=20)
     parser.add_argument(
-        "--deviations", nargs="+", default=list(DEVIATIONS), choices=DEVIATIONS
+        "--deviations", nargs="+", default=list(USUAL_DEVIATIONS), choices=DEVIATIONS
+    )
+    parser.add_argument(
+        "--durations", nargs="+", type=float, default=list(DURATIONS), metavar="S"
     )
     options = parser.parse_args()
-    print(f"{'arm':<8}{'kind':<8}{'':<16}coverage  rms/stated    rms  median stated")
+    print(f"{'arm':<8}{'kind':<12}{'':<16}coverage  rms/stated    rms  median stated")
     seeds = range(options.first_seed, options.first_seed + options.logs)
     totals = {deviation: Tally({}) for deviation in options.deviations}
     for arm_name in options.arms:
         for deviation in options.deviations:
             path = options.models / ARMS[arm_name]
-            tally = study(path, arm_name, deviation, seeds)
+            tally = study(path, arm_name, deviation, seeds, options.durations)
             totals[deviation].join(tally)
             for line in tally.lines():
-                print(f"{arm_name:<8}{deviation:<8}{line}", flush=True)
+                print(f"{arm_name:<8}{deviation:<12}{line}", flush=True)
     for deviation, total in totals.items():
         for line in total.lines():
-            print(f"{'all':<8}{deviation:<8}{line}")
+            print(f"{'all':<8}{deviation:<12}{line}")
     return 0
 
 

@@ -33,7 +33,18 @@ ARMS = {
     "xarm7": "ufactory_xarm7/xarm7.xml",
     "fr3": "franka_fr3/FrankaFR3_7DoF.urdf",
 }
-DEVIATIONS = ("real", "priors", "exact")
+DEVIATIONS = ("real", "priors", "exact", "bent", "presliding")
+"""What arms differ in from their models, see ``draw_arm``. New ones go to the end: the random
+numbers of an arm begin with the place of its deviation."""
+AS_REAL = ("real", "bent", "presliding")
+"""Deviations of which links, scales, zeros and dry friction are as far off as those of real arms.
+"""
+PRESLIDING = 1e-3
+"""Travel over which dry friction turns round in the gears of real arms [rad]. With a zone of as
+much left out at each turn, the rotors of arms without it are right, and real files best."""
+BEND_TOP = 1.25
+"""Speed at which friction that bends is flat, over the fastest of the motion: within the motion it
+still rises."""
 RATE = 250.0
 DURATION = 12.0
 STRIBECK = 0.3
@@ -69,6 +80,9 @@ class WrongArm:
         stribeck: (n,) further dry friction at rest, which fades with the speed ``fading``.
         root: (n,) dry friction per root of speed.
         loss: (n,) dry friction per load.
+        bend, bend_top: (n,) friction ``bending``, and the speed at which it is flat [rad/s].
+        presliding: travel over which dry friction turns round [rad]; zero where it follows the sign
+            of the speed at once.
         scales, zeros: (n,) factors of the torque sensors, and errors of the encoders [rad].
         lag: of the torque behind the position [s].
         step: of the encoders [rad].
@@ -85,6 +99,9 @@ class WrongArm:
     fading: Array | float = 1.0
     root: Array | float = 0.0
     loss: Array | float = 0.0
+    bend: Array | float = 0.0
+    bend_top: Array | float = 1.0
+    presliding: float = 0.0
     scales: Array | float = 1.0
     zeros: Array | float = 0.0
     lag: float = 0.0
@@ -105,7 +122,9 @@ class WrongArm:
         speed = np.abs(motion.qd)
         dry = self.coulomb + self.stribeck * np.exp(-speed / self.fading)
         dry = dry + self.root * np.sqrt(speed) + self.loss * np.abs(load)
-        friction = dry * np.sign(motion.qd) + self.viscous * motion.qd
+        friction = dry * dry_direction(motion, self.presliding)
+        friction = friction + self.viscous * motion.qd
+        friction = friction + self.bend * bending(motion.qd / self.bend_top)
         return load + self.rotor * motion.qdd, friction
 
     def log(self, motion, noise, payload=0.0):
@@ -131,12 +150,38 @@ class WrongArm:
             "zero": self.zeros,
             "load": self.loss,
             "sqrt": self.root,
+            "bend": self.bend,
         }
         for term, sizes in of_joints.items():
             numbers = np.broadcast_to(sizes, len(self.thetas))
             for joint, number in zip(self.robot.joint_names, numbers):
                 value_of[f"{term}[{joint}]"] = number
         return np.array([float(value_of.get(name, 0.0)) for name in names])
+
+
+def dry_direction(motion, travel):
+    """Return the direction z (N, n) of dry friction in a motion: the sign of the speed if at once.
+
+    Teeth and balls bend before they slide, so that dry friction turns round over a travel s,
+
+        dz/dq = (1 - z sign(qd)) / s   (Dahl, "A solid friction model", 1968),
+
+    whose solution between two samples z -> d + (z - d) exp(-|dq| / s), d = sign(dq), is exact.
+    """
+    direction = np.sign(motion.qd)
+    if not travel:
+        return direction
+    steps = np.diff(motion.q, axis=0)
+    kept = np.exp(-np.abs(steps) / travel)
+    gained = np.sign(steps) * (1.0 - kept)
+    for before, (keep, gain) in enumerate(zip(kept, gained)):
+        direction[before + 1] = keep * direction[before] + gain
+    return direction
+
+
+def bending(u):
+    """Return friction that rises ever less with a speed u, is flat at u = 1, and never falls."""
+    return 3.0 * u - 3.0 * u * np.abs(u) + u**3
 
 
 def delay(time, values, lag):
@@ -277,6 +322,10 @@ def draw_arm(
 ):
     """Return one arm with one log of it.
 
+    ``deviation`` says what is off: "real" as of real arms, "bent" also with friction that bends and
+    is at its top as large as Coulomb friction, "presliding" with dry friction that turns round over
+    a travel; "priors" what the default priors say; "exact" nothing.
+
     ``move`` returns the motion; None for that of an excitation. ``friction`` is the usual Coulomb
     friction over the torque.
     """
@@ -289,7 +338,7 @@ def draw_arm(
     tilt = np.radians(0.3) * rng.standard_normal(2) * is_off
     thetas = robot.thetas
     if is_off:
-        thetas = (wrong_links if deviation == "real" else prior_links)(robot, rng)
+        thetas = (wrong_links if deviation in AS_REAL else prior_links)(robot, rng)
     arm = WrongArm(robot, thetas, tilt, robot.armature)
     rigid, _ = arm.torques(motion)
     n = robot.n_joints
@@ -305,9 +354,13 @@ def draw_arm(
     rotor = 0.02 * np.max(peak) / rms_acceleration * rng.uniform(0.3, 1.5, n)
     rotor = np.zeros(n) if has_sensors else rotor
     arm = replace(arm, coulomb=coulomb, viscous=viscous, rotor=rotor)
-    if deviation == "real":
+    if deviation in AS_REAL:
         loss = visible_share * rng.uniform(0.02, 0.06, n)
         arm = replace(arm, stribeck=STRIBECK * coulomb, fading=0.1 * fastest, loss=loss)
+        if deviation == "bent":
+            arm = replace(arm, bend=coulomb, bend_top=BEND_TOP * fastest)
+        elif deviation == "presliding":
+            arm = replace(arm, presliding=PRESLIDING)
     elif deviation == "priors":
         root = 0.1 * coulomb * rng.standard_normal(n) / np.sqrt(fastest)
         arm = replace(arm, root=root, loss=0.02 * rng.standard_normal(n))
