@@ -14,7 +14,7 @@ priors  everything drawn from the default priors
 exact   nothing off but noise; Coulomb and viscous friction
 bent    as real, and friction that rises ever less with speed, as large as Coulomb friction
 presliding
-        as real, and dry friction that turns round over 1 mrad of travel
+        as real, and dry friction that turns round over 1 mrad of travel, read by good encoders
 
 The last two are drawn where they are asked for.
 

@@ -324,7 +324,7 @@ def draw_arm(
 
     ``deviation`` says what is off: "real" as of real arms, "bent" also with friction that bends and
     is at its top as large as Coulomb friction, "presliding" with dry friction that turns round over
-    a travel; "priors" what the default priors say; "exact" nothing.
+    a travel, read by good encoders; "priors" what the default priors say; "exact" nothing.
 
     ``move`` returns the motion; None for that of an excitation. ``friction`` is the usual Coulomb
     friction over the torque.
@@ -360,7 +360,8 @@ def draw_arm(
         if deviation == "bent":
             arm = replace(arm, bend=coulomb, bend_top=BEND_TOP * fastest)
         elif deviation == "presliding":
-            arm = replace(arm, presliding=PRESLIDING)
+            # A coarse encoder's zone at each turn would hide most of it.
+            arm = replace(arm, presliding=PRESLIDING, step=FINE_STEP)
     elif deviation == "priors":
         root = 0.1 * coulomb * rng.standard_normal(n) / np.sqrt(fastest)
         arm = replace(arm, root=root, loss=0.02 * rng.standard_normal(n))
