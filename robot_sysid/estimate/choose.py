@@ -92,7 +92,7 @@ def solved(
         advance(step)
         question = replace(question, dry=dry_friction(current), is_first=False)
         noise = current.noise
-        correlation = correlation_times(current.residuals)
+        correlation = correlation_times(current.split(current.residuals))
         if step == 1:
             recordings = without_turns(current)
         current = answer(noise)

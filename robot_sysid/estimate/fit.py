@@ -663,21 +663,29 @@ def equations_of(
     )
 
 
-def correlation_times(residuals: Array) -> Array:
-    """Return the rows (J,) of residuals (K, J) that count as one independent row.
+def correlation_times(residuals: Sequence[Array]) -> Array:
+    """Return the rows (J,) of residuals that count as one independent row.
 
     The integrated autocorrelation time 1 + 2 sum_l rho_l, up to the first lag at which rho is no
     longer significant (Bartlett 1946).
+
+    Args:
+        residuals: (K, J) of each recording; NaN where a row is not used. The end of one and the
+            beginning of the next are no successive rows, whatever their order.
     """
+    lags = max(sum(map(len, residuals)) // 10, 1)
     times = []
-    for residual in residuals.T:
-        is_used = np.isfinite(residual)
-        signal = np.where(is_used, residual, 0.0)
-        lags = max(len(signal) // 10, 1)
-        pairs = np.maximum(lagged_sums(is_used.astype(float), lags), 1.0)
-        covariance = lagged_sums(signal, lags) / pairs
-        rho = np.append(covariance, 0.0) / max(covariance[0], 1e-300)
-        last = np.argmax(rho <= 2.0 / np.sqrt(pairs[0]))
+    for joint in range(residuals[0].shape[1]):
+        pairs = covariance = np.zeros(lags + 1)
+        for residual in (own[:, joint] for own in residuals):
+            is_used = np.isfinite(residual)
+            pairs = pairs + lagged_sums(is_used.astype(float), lags)
+            covariance = covariance + lagged_sums(
+                np.where(is_used, residual, 0.0), lags
+            )
+        rho = covariance / np.maximum(pairs, 1.0)
+        rho = np.append(rho, 0.0) / max(rho[0], 1e-300)
+        last = np.argmax(rho <= 2.0 / np.sqrt(max(pairs[0], 1.0)))
         times.append(1.0 + 2.0 * np.sum(rho[1:last]))
     return np.array(times)
 

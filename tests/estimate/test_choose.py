@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs import arms
@@ -23,6 +23,7 @@ from rigs.payload_logs import (
 )
 from rigs.releases import since
 from rigs.stepped_arm import stepped_log
+from rigs.wrong_arms import NOISE, draw_arm, noise_samples
 from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of, solved
 from robot_sysid.estimate.links import (
     AS_STATED,
@@ -35,6 +36,7 @@ from robot_sysid.estimate.links import (
 )
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
+from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.terms import LINKS, ArmTerms
 
 ROBOT = four_joint_arm()
@@ -283,3 +285,36 @@ def test_progress_grows_to_its_end_whatever_is_asked(recordings):
     solved(ROBOT, recordings[:2], question, progress)
     assert progress.shares[0] == 0.0 and progress.shares[-1] == 1.0
     assert np.all(np.diff(progress.shares) > 0.0)
+
+
+# ---- the order of logs
+
+# Most that two orders may differ by, as a share of each number's ±: rounding times the condition of
+# what the data hardly shows, and the tolerance of the search for possible bodies.
+_ROUNDING = 1e-3
+# Length of logs so short that the memory of their noise reaches over a tenth of them [s].
+_SHORT = 6.0
+
+
+@settings(max_examples=3)
+@given(SEEDS)
+def test_the_order_of_logs_changes_neither_estimate_nor_file(seed):
+    first, other = (
+        draw_arm(ROBOT, "real", False, _SHORT, False, seed + k) for k in (0, 1)
+    )
+    noise = (
+        NOISE * first.arm.coulomb * noise_samples(other.rng, other.rigid.shape, False)
+    )
+    recordings = filter_logs(ROBOT, first.log, first.arm.log(other.motion, noise))
+    fits = []
+    for ordered in (recordings, recordings[::-1]):
+        estimate = fit_recordings(ROBOT, ordered)
+        fits.append((estimate, fit_file(estimate)))
+    errors = dict(zip(fits[0][0].names, fits[0][0].errors))
+    for fitted, turned in zip(*fits):
+        assert fitted.names == turned.names
+        assert_allclose(fitted.correlation, turned.correlation, rtol=1e-9)
+        assert_allclose(fitted.errors, turned.errors, rtol=_ROUNDING)
+        for name in fitted.names:
+            off = abs(fitted.by_name[name] - turned.by_name[name])
+            assert off < _ROUNDING * errors[name], name

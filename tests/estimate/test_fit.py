@@ -246,7 +246,7 @@ def test_rows_of_noise_with_a_memory_count_less(seed):
     for memory, expected in ((0.0, 1.0), (10.0, 20.0)):
         noise = autocorrelated(white, memory)
         noise[::7, 0] = np.nan
-        assert_allclose(correlation_times(noise), expected, rtol=0.3)
+        assert_allclose(correlation_times([noise]), expected, rtol=0.3)
 
 
 def test_what_no_prior_names_is_in_the_errors_by_the_blocks():

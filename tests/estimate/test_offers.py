@@ -74,7 +74,7 @@ def test_an_effect_that_is_weighed_is_that_of_a_fit_with_its_own_noise(cause):
     fitted = fit_recordings(ROBOT, logs, loaded=True)
     others = [each for each in fitted.equations.terms if each.cause != cause]
     base = fitted.refit(others)
-    base = replace(base, correlation=correlation_times(base.residuals)).refit(others)
+    base = replace(base, correlation=correlation_times([base.residuals])).refit(others)
     offers = Offers(base)
     offer = offers.weigh(Effect.of(term))
     correlation = offers.correlation(offer.squares, offer.successive)
