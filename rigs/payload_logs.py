@@ -65,7 +65,8 @@ class TrueArm(WrongArm):
         drawn = {
             "coulomb": coulomb,
             "viscous": viscous,
-            "offset": offset,
+            # As small beside the strongest joint's torque as offsets usually are.
+            "offset": 0.1 * offset,
             "rotor": rotor,
         }
         super().__init__(robot, np.array(thetas), np.zeros(2), **{**drawn, **fields})

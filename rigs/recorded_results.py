@@ -21,7 +21,15 @@ from robot_sysid.results.cards import number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, more_lines, verdict_line
 from robot_sysid.results.quantities import BEYOND, MOMENT
-from robot_sysid.results.record import BOUND, DATA, MODEL, Quantity, Verdict
+from robot_sysid.results.record import (
+    BOUND,
+    DATA,
+    MODEL,
+    CurvedFile,
+    FrictionCurve,
+    Quantity,
+    Verdict,
+)
 from robot_sysid.results.table import beyond_line, cells, table_lines
 
 FOLDER = ROOT / "tests" / "results" / "recorded"
@@ -44,12 +52,31 @@ def bolted_on(mass, error):
 
 
 FILE = made.model_file(others=())
+BENT = made.model_file(
+    others=(),
+    curved=CurvedFile(
+        *(made.validation_of(e, "fifths of arm.csv", e) for e in (0.27, 0.002) * 2)
+    ),
+)
+CURVE = FrictionCurve(
+    of="j6",
+    unit="N·m",
+    speed_unit="rad/s",
+    known_to=1.2,
+    speeds=(0.12, 0.48, 1.2),
+    model=(0.3, 0.33, 0.4),
+    torque=(0.41, 0.55, 0.6),
+    errors=(0.01, 0.012, 0.02),
+)
 UNSEEN = made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL)
 RESULTS = {
     "every link, with its file": made.whole(),
     "last link": made.found(validation=(made.validation_of(0.05),)),
     "mass not shown": UNSEEN,
     "mass not known": made.found(made.with_value("m", 2.0, 1.2), file=FILE),
+    "friction that bends": made.found(
+        file=BENT, curves=(CURVE,), tops={"j5": 1.0, "j6": 1.5}
+    ),
     "as good before": made.found(verdict=Verdict.AS_GOOD, file=FILE),
     "torques only": made.found(verdict=Verdict.TORQUES_ONLY),
     "payload": made.payload(),

@@ -14,6 +14,7 @@ import numpy as np
 
 from rigs.synthetic_data import autocorrelated
 from robot_sysid import spatial
+from robot_sysid.dynamics.friction import top_speeds
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     LinkDynamics,
@@ -363,8 +364,10 @@ def draw_arm(
             # A coarse encoder's zone at each turn would hide most of it.
             arm = replace(arm, presliding=PRESLIDING, step=FINE_STEP)
     elif deviation == "priors":
-        root = 0.1 * coulomb * rng.standard_normal(n) / np.sqrt(fastest)
-        arm = replace(arm, root=root, loss=0.02 * rng.standard_normal(n))
+        bend = 0.4 * coulomb * rng.standard_normal(n)
+        top = top_speeds(fastest, np.full(n, np.inf))
+        loss = 0.02 * rng.standard_normal(n)
+        arm = replace(arm, bend=bend, bend_top=top, loss=loss)
     scales = 1.0 + 0.02 * is_off * rng.standard_normal(n)
     noise = NOISE * nominal * noise_samples(rng, rigid.shape, white)
     lag = 5e-3 * rng.standard_normal() if deviation == "priors" else 0.0

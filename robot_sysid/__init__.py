@@ -68,6 +68,8 @@ _NAMES = {
     "records.messages": ("Level", "Remark"),
     "results.record": (
         "BodyEstimate",
+        "CurvedFile",
+        "FrictionCurve",
         "ModelErrors",
         "ModelFile",
         "Payload",

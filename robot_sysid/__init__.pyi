@@ -47,6 +47,8 @@ from robot_sysid.records.limits import Limits as Limits
 from robot_sysid.records.messages import Level as Level
 from robot_sysid.records.messages import Remark as Remark
 from robot_sysid.results.record import BodyEstimate as BodyEstimate
+from robot_sysid.results.record import CurvedFile as CurvedFile
+from robot_sysid.results.record import FrictionCurve as FrictionCurve
 from robot_sysid.results.record import ModelErrors as ModelErrors
 from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload

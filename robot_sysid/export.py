@@ -24,8 +24,8 @@ from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.results.cards import card_text, number_groups, simulator_card
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
-from robot_sysid.results.record import Identification, ModelTarget, Verdict
-from robot_sysid.results.written_model import write_model
+from robot_sysid.results.record import CURVED, Identification, ModelTarget, Verdict
+from robot_sysid.results.written_model import can_bend, versions, write_model
 
 # Files that a command writes after the results.
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
@@ -127,7 +127,9 @@ def save(
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
             written += motor_paths
-        content = content_of(result, card, notes, failure)
+        names = [path.name for path in written]
+        has_curved = file_access.CURVED_NAME in names
+        content = content_of(result, card, notes, failure, has_curved)
         step = None if content["failure"] else step
         verdict = last_lines(content, written, step)
         written.append(folder / file_access.PARAMS_NAME)
@@ -154,10 +156,11 @@ def save(
 def _write_models(
     result: Identification, target: ModelTarget, as_body: str | None
 ) -> tuple[list[Path], list[str]]:
-    """Write the updated model into the folder ``target.path``; return (paths, notes).
+    """Write the updated models into the folder ``target.path``; return (paths, notes).
 
     An arm from a URDF gets both where MuJoCo alone would not load the URDF, or where the best model
-    needs an MJCF: that MJCF, and the best URDF.
+    needs an MJCF: that MJCF, and the best URDF. Where friction bends with speed, an MJCF that has
+    it is beside them, if MuJoCo knows such friction.
 
     Raises:
         ExportError: one of them cannot be written; then neither is.
@@ -179,7 +182,32 @@ def _write_models(
         for path in written:
             target.files.withdraw(path)
         raise
-    return written, notes
+    curved, curved_notes = _write_curved(result, target, as_body)
+    return [*written, *curved], [*notes, *curved_notes]
+
+
+def _write_curved(
+    result: Identification, target: ModelTarget, as_body: str | None
+) -> tuple[list[Path], list[str]]:
+    """Write the model whose friction bends with speed, if it does; return (paths, notes).
+
+    The others stand without it, so that a note says why it cannot be written.
+    """
+    if result.file is None or result.file.curved is None:
+        return [], []
+    name = file_access.CURVED_NAME
+    if not can_bend():
+        release = versions()["mujoco"]
+        return [], [
+            f"{name} is not written: friction that bends with speed begins with MuJoCo 3.7, and "
+            f"this is {release}"
+        ]
+    path = target.path / name
+    try:
+        write_model(result, replace(target, path=path), as_body, "mjcf", CURVED)
+    except ExportError as error:
+        return [], [f"{name} is not written: {error}"]
+    return [path], []
 
 
 def write_simulator_cards(

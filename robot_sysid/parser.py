@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robot_sysid.dynamics.friction import POLYNOMIAL, stated_top
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links
@@ -94,6 +95,9 @@ def load_robot_model(
         is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
         friction=joint_friction(mj_model, dofs),
+        stated_speeds=np.array(
+            [np.inf if speed is None else speed for speed in speeds]
+        ),
         links=links,
         notes=compiled.notes,
     )
@@ -185,12 +189,13 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
         yield f"the model has no gravity, so its links weigh nothing; {direction} states some"
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
-    # Coefficients of qd abs(qd) and of qd^3; MuJoCo before 3.7 has no such damping.
-    coefficients = getattr(mj_model, "dof_dampingpoly", np.zeros((mj_model.nv, 2)))
-    is_nonlinear = np.any(coefficients[robot.dof_index], axis=1)
-    if np.any(is_nonlinear):
-        names = ", ".join(robot.joint_names[k] for k in np.flatnonzero(is_nonlinear))
+    # MuJoCo before 3.7 has no such damping.
+    quadratic, cubic = (term.stated(robot) for term in POLYNOMIAL)
+    is_bend = stated_top(robot.friction.viscous, quadratic, cubic) > 0.0
+    is_other = ((quadratic != 0.0) | (cubic != 0.0)) & ~is_bend
+    if np.any(is_other):
+        names = ", ".join(robot.joint_names[k] for k in np.flatnonzero(is_other))
         yield (
-            f"nonlinear damping of {names} is taken to be as the model states it; linear damping "
-            "alone is identified"
+            f"nonlinear damping of {names} is taken to be as the model states it; what is "
+            "identified of its friction stands beside it"
         )

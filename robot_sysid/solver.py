@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_sysid import spatial
+from robot_sysid.dynamics.inverse_dynamics import BeyondRigidBodies
 from robot_sysid.estimate.bodies import consistent_least_squares
 from robot_sysid.estimate.identifiability import fit_quality, visible_space
 from robot_sysid.estimate.rows import Rows, Sums
@@ -58,6 +59,8 @@ class LastLinkTerms(ArmTerms):
             known[name] = np.append(vars(robot.friction)[name][:-1], 0.0)
         self.terms = terms
         self.prior = np.array([self.model[name] for name in self.names])
+        # Nonlinear damping is known, too.
+        self._beyond = BeyondRigidBodies(robot)
         self._known_friction = replace(robot.friction, **known)
         self._point = self.start()
 

@@ -274,11 +274,11 @@ def test_every_formula_is_the_column_of_its_term():
     assert set(formulas) == set(TERMS) - {"armature"}
     qd = np.linspace(-1.0, 1.0, 9)
     load = np.linspace(-3.0, 5.0, 9)
-    names = {"qd": qd, "load": load}
+    top = 0.7
+    names = {"qd": qd, "load": load, "top": top}
     for function in (np.sign, np.sqrt, abs, np.exp, np.tanh):
         names[function.__name__] = function
     for term, formula in formulas.items():
         column = eval(formula, names) * np.ones(9)
-        assert_allclose(
-            column, TERMS[term].torque(np.sign(qd), qd, qd, load), rtol=1e-12
-        )
+        expected = TERMS[term].of_state(np.sign(qd), qd, qd, load, top)
+        assert_allclose(column, expected, rtol=1e-12)

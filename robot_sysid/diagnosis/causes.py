@@ -29,9 +29,8 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer
 from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import PAYLOAD_NAMES, SCALES, Point, Term
-from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.records import Array
-from robot_sysid.records.levels import CLEAR
+from robot_sysid.records.levels import CLEAR, UNEXPLAINED
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
 from robot_sysid.records.parameters import SCALE, ZERO, Parameter
 from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale

@@ -58,9 +58,8 @@ from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import LAST_LINK, Point, Term, independent
-from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.records import Array
-from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
+from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 from robot_sysid.records.parameters import Parameter
 from robot_sysid.spatial import PARAMETER_NAMES

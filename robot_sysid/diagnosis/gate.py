@@ -26,7 +26,7 @@ from robot_sysid.diagnosis.log_checks import (
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import Evidence
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import answer_of, solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import Priors
 from robot_sysid.estimate.questions import Question
@@ -149,7 +149,7 @@ def judge(
         found += velocities
     # What was asked of the log alone is not kept with its answer.
     terms = [term for term in fitted.arm.terms.values() if term.cause]
-    answer = replace(fitted, arm=fitted.arm.of(terms))
+    answer = answer_of(replace(fitted, arm=fitted.arm.of(terms)))
     return Judged(tuple(logs), in_order([*found, *wrong]), notes, answer)
 
 

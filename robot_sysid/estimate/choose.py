@@ -11,10 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import Coupling
+from robot_sysid.dynamics.friction import (
+    POLYNOMIAL,
+    VISCOUS,
+    Coupling,
+    stated_top,
+    top_speeds,
+)
 from robot_sysid.estimate.contacts import without_contacts
 from robot_sysid.estimate.fit import ROUNDS, Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
+    AS_STATED,
     LinkEvidence,
     average_scales,
     link_directions,
@@ -24,7 +31,7 @@ from robot_sysid.estimate.links import (
 )
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import LEAST_DRY, PER_CENT, Question, arm_question
-from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
+from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent, stated_speeds
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE
@@ -55,7 +62,8 @@ def solved(
         InputError: no joint moves fast enough for its equations to be used.
     """
     options = question.options
-    stated, offered = motors_of(robot, options.torques)
+    speeds = speeds_in(recordings)
+    stated, offered = motors_of(robot, options.torques, speeds)
     # Torque scales multiply a payload: it takes one round more. Each round has a pass for residuals
     # and one for sums, which begin with a pass.
     n_steps = 1 + 2 * (3 if question.loaded else 2)
@@ -67,7 +75,9 @@ def solved(
     def arm_of(motors: Sequence[Coupling]) -> ArmTerms:
         """Return all terms of the arm with some motors."""
         friction = options.friction
-        return ArmTerms(robot, options.torques, motors, friction, question.loaded)
+        loaded = question.loaded
+        fastest = fastest_of(speeds, np.eye(robot.n_joints))
+        return ArmTerms(robot, options.torques, motors, friction, loaded, fastest)
 
     def answer(noise: Array | None = None, possible: bool = False) -> Fit:
         """Return the fit of the question as it is now."""
@@ -113,6 +123,40 @@ def solved(
     current = answer(current.noise, possible=True)
     advance(n_steps)
     return current
+
+
+def answer_of(fitted: Fit) -> Fit:
+    """Return the fit of a question from that by which its logs were judged.
+
+    Offsets of torque sensors are then as small as they usually are, and what the data decides of
+    the links follows from that.
+    """
+    question = replace(fitted.question, usual_offsets=True, link_scales=AS_STATED)
+    torque = fitted.sums.rms_torque
+    current = fitted
+    for is_last in (False, True):
+        terms = arm_question(fitted.arm, question, torque)
+        current = replace(current, question=question).refit(terms, possible=is_last)
+        if not is_last:
+            evidence = link_evidence(current)
+            if evidence is not None:
+                scales = average_scales(evidence)
+                question = replace(question, link_scales=scales)
+    return current
+
+
+def speeds_in(recordings: Sequence[FilteredRecording]) -> Array:
+    """Return the velocities (K of all recordings, n) of rows that any joint uses."""
+    used = (each.motion.qd[np.any(each.used, axis=1)] for each in recordings)
+    return np.concatenate([*used])
+
+
+def fastest_of(speeds: Array, ratios: Array) -> Array:
+    """Return the highest speeds (m,) of joints or motors in velocities (K, n) of joints.
+
+    ``ratios`` (m, n): motor speed per joint speed.
+    """
+    return np.max(np.abs(speeds @ ratios.T), axis=0, initial=0.0)
 
 
 def without_turns(fitted: Fit) -> list[FilteredRecording]:
@@ -280,19 +324,30 @@ def common_factor(fitted: Fit, left_out: Sequence[int] = ()) -> tuple[float, flo
     return factor, precision**-0.5
 
 
-def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Coupling:
+def coupling(
+    robot: RobotModel,
+    ratios: Array,
+    speeds: Array | None = None,
+    tendon: int | None = None,
+) -> Coupling:
     """Return the motor that turns several joints, named after them ("joint_5+joint_6").
 
     Args:
         ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
+        speeds: (K, n) velocities of the joints in the recordings [rad/s]; None for none.
         tendon: MuJoCo id of the model's fixed tendon that is this motor; or None.
     """
+    fastest = np.zeros(1) if speeds is None else fastest_of(speeds, ratios[None])
+    # Joints that it does not turn with may be without a limit.
+    turned = ratios != 0.0
+    limit = np.abs(ratios[turned]) @ stated_speeds(robot)[turned]
+    (top,) = top_speeds(fastest, np.array([limit]))
     text = ""
     for joint, ratio in zip(robot.joint_names, ratios):
         if ratio:
             text += "-" if ratio < 0.0 else "+"
             text += joint if abs(ratio) == 1.0 else f"{abs(ratio):g}*{joint}"
-    motor = Coupling(ratios, text.removeprefix("+"))
+    motor = Coupling(ratios, text.removeprefix("+"), top=float(top))
     if tendon is None:
         return motor
     model = robot.mj_model
@@ -302,34 +357,45 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
         np.ravel(getattr(model, f"tendon_{term.attribute}", zeros)[tendon])[0]
         for term in Coupling.terms
     ]
-    return replace(motor, model=np.array(values), tendon=tendon)
+    of_model = np.array(values)
+    stated = (each.stated_in(model, "tendon")[[tendon]] for each in POLYNOMIAL)
+    (own,) = stated_top(of_model[[Coupling.terms.index(VISCOUS)]], *stated)
+    own = float(own)
+    top = max(motor.top, own)
+    return replace(motor, model=of_model, tendon=tendon, top=top, stated_top=own)
 
 
 def motors_of(
-    robot: RobotModel, torques: str
+    robot: RobotModel, torques: str, speeds: Array | None = None
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
     """Return (motors of the model that turn several joints, those that an arm may have beside).
 
     The model's are fixed tendons with friction or rotor inertia. Others are those of each joint
-    with the next one; torques of the last joint alone show none.
+    with the next one; torques of the last joint alone show none. ``speeds`` (K, n) are the joints'
+    velocities in the recordings, None for none.
     """
     if torques != "chain":
         return (), ()
     tendons = shared_motors(robot.mj_model, robot.dof_index)
-    motors = (coupling(robot, ratios, tendon) for tendon, ratios in tendons.items())
+    motors = (
+        coupling(robot, ratios, speeds, tendon) for tendon, ratios in tendons.items()
+    )
     stated = tuple(motor for motor in motors if np.any(motor.model))
     offered = []
-    for motor in neighbours(robot):
+    for motor in neighbours(robot, speeds):
         pairs = [(motor.ratios, other.ratios) for other in stated]
         if all(np.linalg.matrix_rank(pair) == 2 for pair in pairs):
             offered.append(motor)
     return stated, tuple(offered)
 
 
-def neighbours(robot: RobotModel) -> Iterator[Coupling]:
-    """Yield the motors that turn each joint with the next one, with ratios (1, 1) and (1, -1)."""
+def neighbours(robot: RobotModel, speeds: Array | None = None) -> Iterator[Coupling]:
+    """Yield the motors that turn each joint with the next one, with ratios (1, 1) and (1, -1).
+
+    ``speeds`` (K, n) are the joints' velocities in the recordings, None for none.
+    """
     for joint in range(robot.n_joints - 1):
         for sign in (1.0, -1.0):
             ratios = np.zeros(robot.n_joints)
             ratios[joint : joint + 2] = 1.0, sign
-            yield coupling(robot, ratios)
+            yield coupling(robot, ratios, speeds)

@@ -15,6 +15,7 @@ Shapes: p parameters in the sums, k of them estimated, J joints with equations, 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import spatial
+from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, arm_question, scale_spread
 from robot_sysid.estimate.rows import Sums, indices_of, row_chunks
@@ -61,6 +63,7 @@ class Equations:
         names: (k,) their names.
         spans: each term with the indices of its parameters among the estimated ones.
         lower, upper: (k,) bounds.
+        yields: (k,) which are held at their bound before others are that cross theirs.
         reference: (k,) values that stay where nothing shows them.
         prior: (k + 1, k + 1) products of the priors' equations.
         selection: (p + 1, k + 1) takes all columns and the torque to the estimated ones and the
@@ -81,6 +84,7 @@ class Equations:
         self.least = np.zeros(size)
         self.lower = np.full(size, -np.inf)
         self.upper = np.full(size, np.inf)
+        self.yields = np.zeros(size, dtype=bool)
         self.bodies = np.zeros((0, N_INERTIAL), dtype=np.int64)
         self.selection = np.zeros((len(held) + 1, size + 1))
         self.selection[:, -1] = np.append(-held, 1.0)
@@ -91,6 +95,7 @@ class Equations:
             if term.is_bounded:
                 self.lower[span] = [each.lower for each in term.parameters]
                 self.upper[span] = [each.upper for each in term.parameters]
+                self.yields[span] = [each.yields for each in term.parameters]
             self.reference[span] = term.reference
             self.least[span] = term.least
             if term.prior is not None:
@@ -292,6 +297,8 @@ class Fit(Problem):
         is_free: (k,) which parameters are not held at a bound.
         bodies: the search for possible bodies; None where the free estimate has them.
         left_out: which estimates without one block each there are.
+        held_apart: (B, p) values of the parameters that are not estimated, in the estimates without
+            one block each; None for those of the estimate from all blocks.
     """
 
     equations: Equations
@@ -302,6 +309,7 @@ class Fit(Problem):
     is_free: NDArray[np.bool_]
     bodies: Possible | None = None
     left_out: LeftOut = LeftOut.NOTHING
+    held_apart: Array | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -405,8 +413,12 @@ class Fit(Problem):
                 effects[-1, span] = shared * self.free[span]
             # The loss of a gear is a share, and has no unit.
             elif term.cause in (FRICTION, FURTHER_FRICTION) and term.parameters[0].unit:
-                rows = [joints.index(parameter.of) for parameter in term.parameters]
-                effects[rows, span] = deviations[rows] * self.values[span]
+                # A motor that turns several joints has no scale of its own.
+                of_joints = [each.of in joints for each in term.parameters]
+                at = span[of_joints]
+                owners = itertools.compress(term.parameters, of_joints)
+                rows = [joints.index(parameter.of) for parameter in owners]
+                effects[rows, at] = deviations[rows] * self.values[at]
         return effects.T @ effects
 
     @cached_property
@@ -457,12 +469,21 @@ class Fit(Problem):
         errors = []
         is_any = self.left_out is not LeftOut.NOTHING
         for block in self.sums.blocks if is_any else ():
-            values, inverse = self.without([block])
-            errors.append(self.expected_squares(inverse, [block]))
+            other = self.before(block)
+            values, inverse = other.without([block])
+            errors.append(other.expected_squares(inverse, [block]))
             if self.left_out is LeftOut.WITH_BOUNDS:
-                values = self._possible_without(block, values)
+                values = other._possible_without(block, values)
             estimates.append(values)
         return np.array(estimates), np.array(errors)
+
+    def before(self, block: int) -> Fit:
+        """Return the fit with what it holds where a block is left out."""
+        if self.held_apart is None:
+            return self
+        held = self.held_apart[block]
+        equations = Equations(self.sums, self.equations.terms, held)
+        return replace(self, equations=equations, held_apart=None)
 
     @property
     def alone(self) -> Array:
@@ -472,8 +493,25 @@ class Fit(Problem):
     @cached_property
     def held_out(self) -> Array:
         """Squared errors (B, J) of blocks predicted from the others [N^2 m^2]."""
-        squares = self.equations.squared_residuals
-        return np.array([squares(x, [block]) for block, x in enumerate(self.alone)])
+        return self.squares_apart(self.alone)
+
+    @cached_property
+    def held_out_as_used(self) -> Array:
+        """The same (B, J) without offsets of sensors, which no model file holds [N^2 m^2]."""
+        alone = self.alone.copy()
+        for term, span in self.equations.spans:
+            if term.key == OFFSET.name:
+                alone[:, span] = 0.0
+        return self.squares_apart(alone)
+
+    def squares_apart(self, alone: Array) -> Array:
+        """Return squared errors (B, J) of blocks predicted by estimates (B, k) [N^2 m^2]."""
+        return np.array(
+            [
+                self.before(block).equations.squared_residuals(values, [block])
+                for block, values in enumerate(alone)
+            ]
+        )
 
     @property
     def expected_held_out(self) -> Array:
@@ -509,14 +547,16 @@ class Fit(Problem):
     def constrained(self, normal: Array, possible: bool) -> Fit:
         """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.
 
-        Parameters that cross a bound are held at it. Bodies are possible ones, if they have to be.
+        Parameters that cross a bound are held at it, and not released: those first that yield, a
+        bend of friction below zero, which pushes dry or viscous friction beyond theirs. Bodies are
+        possible ones, if they have to be.
         """
         equations = self.equations
         start = self.start
         is_free = self.is_free
         bodies = self.bodies
         while True:
-            if possible:
+            if possible and len(equations.bodies):
                 bodies = self._possible(normal, bodies, start, is_free)
                 values = bodies.values
             else:
@@ -524,6 +564,8 @@ class Fit(Problem):
             crosses = equations.crossing(values) & is_free
             if not np.any(crosses):
                 break
+            if np.any(crosses & equations.yields):
+                crosses &= equations.yields
             is_free = is_free & ~crosses
             start = np.where(crosses, equations.inside(values), start)
         values = equations.inside(values)

@@ -20,9 +20,19 @@ from robot_sysid.signals.process import FilteredRecording
 
 def validation(fitted: Fit) -> Validation:
     """Return the held-out error of the recordings that were fitted."""
+    return _of_blocks(fitted, fitted.held_out)
+
+
+def validation_as_used(fitted: Fit) -> Validation:
+    """Return the held-out error of a file as it is used: without the offsets, which none holds."""
+    return _of_blocks(fitted, fitted.held_out_as_used)
+
+
+def _of_blocks(fitted: Fit, squares: Array) -> Validation:
+    """Return squared errors (B, J) of blocks that were predicted from the others as a record."""
     expected = np.sum(fitted.expected_held_out, axis=0)
     source = "the logs, each tenth predicted from the others"
-    return _record(fitted, fitted.held_out, expected, fitted.sums.blocks, source)
+    return _record(fitted, squares, expected, fitted.sums.blocks, source)
 
 
 def held_out_logs(fitted: Fit) -> Iterator[Validation]:

@@ -77,7 +77,7 @@ class Priors(OptionRecord):
     friction: float = option(
         usual_errors.LOAD_LOSS,
         "how much friction may grow with the torque of the gear where the friction model has no "
-        "term for it; it may also be curved by five times that part of its Coulomb friction",
+        "term for it; it may also bend with speed, by twenty times that part of its dry friction",
         "P [%] >= 0",
     )
     noise: PerJoint | None = option(
@@ -235,17 +235,17 @@ def friction_terms(name: str) -> tuple[str, ...]:
         InputError: a term is unknown, or named twice.
     """
     # Options do not wait for numpy.
-    from robot_sysid.dynamics.friction import TERMS
+    from robot_sysid.dynamics.friction import CHOICES
 
     terms = () if name == "none" else tuple(re.split(r"[-+]", name.lstrip("+")))
     if name.startswith("+"):
         default = DEFAULT_FRICTION.split("-")
         terms = (*default, *(term for term in terms if term not in default))
     for term in terms:
-        if term not in TERMS:
+        if term not in CHOICES:
             raise InputError(
-                f"unknown friction term {term!r} in {name!r}; join any of {', '.join(TERMS)} with "
-                f"'-', as in {DEFAULT_FRICTION}, or use none"
+                f"unknown friction term {term!r} in {name!r}; join any of {', '.join(CHOICES)} "
+                f"with '-', as in {DEFAULT_FRICTION}, or use none"
             )
     if len(set(terms)) != len(terms):
         raise InputError(

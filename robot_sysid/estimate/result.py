@@ -15,17 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import COULOMB, ROTOR
+from robot_sysid.dynamics.friction import BEND, OFFSET, POLYNOMIAL, ROTOR, TERMS
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
+from robot_sysid.estimate.choose import fastest_of, speeds_in
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import fit_quality, square_root
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.restricted_fit import (
+    bent_owners,
+    curved_file,
     error_without_rotors,
+    errors_on,
     gravity_in,
     model_file,
+    straight_of,
 )
 from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.estimate.terms import (
@@ -36,10 +41,10 @@ from robot_sysid.estimate.terms import (
     PAYLOAD,
     PAYLOAD_NAMES,
     ZEROS,
+    ArmTerms,
     Term,
 )
 from robot_sysid.estimate.trust import (
-    UNEXPLAINED,
     find_misfits,
     implausible_joints,
     implausible_link,
@@ -57,8 +62,15 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES
-from robot_sysid.records.levels import INTERVAL, SURE
-from robot_sysid.records.messages import Level, Remark, percent, says, with_error
+from robot_sysid.records.levels import SURE, UNEXPLAINED
+from robot_sysid.records.messages import (
+    Level,
+    Remark,
+    percent,
+    position_unit,
+    says,
+    torque_unit,
+)
 from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.results.quantities import (
@@ -70,22 +82,30 @@ from robot_sysid.results.quantities import (
 )
 from robot_sysid.results.record import (
     BOUND,
+    CURVED,
     DATA,
     FILE,
     LINK,
     MODEL,
     BodyEstimate,
+    FrictionCurve,
     Identification,
-    ModelErrors,
+    ModelFile,
     Quantity,
     Verdict,
     needs_mjcf,
 )
 from robot_sysid.results.verification import CHECKPOINTS
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_setting
 
 # Causes that are of joints and their motors.
 _OF_JOINTS = (FRICTION, MOTORS)
+FURTHER = "further_"
+"""Beginning of the name of friction that the friction model lacks, which errors allow for."""
+CURVE_SHARES = (0.1, 0.4, 1.0)
+"""Speeds at which friction that bends is stated, over the highest one of the logs: where most of
+it is dry, in the bend, and at the end of what is known."""
 
 
 def link_result(
@@ -94,7 +114,7 @@ def link_result(
     tests: Sequence[Validation],
     origin: DataOrigin,
     notes: Sequence[str] = (),
-    file_tests: Sequence[ModelErrors] = (),
+    others: Sequence[tuple[Sequence[FilteredRecording], str]] = (),
 ) -> Identification:
     """Return the result for an arm from recordings without a payload.
 
@@ -104,11 +124,11 @@ def link_result(
 
     Args:
         fitted: the fit of all terms.
-        file: the fit of the model file.
+        file: the fit of the model file, whose friction may bend.
         tests: errors of the fit on logs that were not fitted.
         origin: where the recordings come from.
         notes: sentences for the user so far.
-        file_tests: errors of the given model and of the model file on the same logs.
+        others: the same logs, low-passed, and their names.
     """
     robot = fitted.arm.robot
     first = fitted.recordings[0]
@@ -116,8 +136,11 @@ def link_result(
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
     links = link_estimates(fitted, file)
     *other_links, last_link = links
-    rows = [*fit_quantities(fitted, links), *beyond_model(last_link)]
-    written = model_file(file, file_tests)
+    rows = [*fit_quantities(fitted, file, links), *beyond_model(last_link)]
+    straight = straight_of(file)
+    file_tests = [errors_on(straight, *other) for other in others]
+    curved = curved_file(file, [errors_on(file, *other) for other in others])
+    written = model_file(straight, file_tests, curved)
     judgement = judge_file(written)
     missed = missed_friction(fitted)
     share = fitted.unexplained_share
@@ -211,10 +234,16 @@ def result_of(
     thetas = robot.thetas
     file_rows: list[Quantity] = []
     sentences = [*robot.notes, *notes]
+    curves: list[FrictionCurve] = []
     if file_fit is not None:
+        straight = straight_of(file_fit)
         thetas = file_fit.thetas
-        file_rows += file_quantities(fitted, file_fit)
-        sentences += file_notes(fitted, file_fit, file_rows)
+        file_rows += file_quantities(fitted, straight, FILE)
+        sentences += file_notes(fitted, straight, file_rows)
+        if straight is not file_fit:
+            file_rows += file_quantities(fitted, file_fit, CURVED)
+            curves += friction_curves(fitted, file_fit)
+            sentences += curve_notes(fields["file"], curves)
     sentences += result_notes(fitted, file_fit)
     return Identification(
         robot=robot,
@@ -224,6 +253,8 @@ def result_of(
         quantities=(*rows, *file_rows),
         remarks=(*remarks, *says(sentences)),
         links={link.name: link for link in links},
+        curves=tuple(curves),
+        tops={owner: fitted.arm.top_of(owner) for owner in fitted.arm.owners},
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=fitted.recordings[0].cutoff,
         link_scales=asdict(fitted.question.link_scales),
@@ -231,10 +262,21 @@ def result_of(
     )
 
 
-def fit_quantities(fitted: Fit, links: Iterable[BodyEstimate]) -> list[Quantity]:
-    """Return the rows of a fit: of its links, of joints and motors, of sensors and recordings."""
+def fit_quantities(
+    fitted: Fit, file: Fit | None, links: Iterable[BodyEstimate]
+) -> list[Quantity]:
+    """Return the rows of a fit: of its links, of joints and motors, of sensors and recordings.
+
+    Friction is that of the model file, ``file``, where there is one.
+    """
     rows = [row for link in links for row in body_quantities(link)]
-    return [*rows, *joint_quantities(fitted), *sensors(fitted)]
+    rows += joint_quantities(fitted) if file is None else friction_in(fitted, file)
+    # A bend that is written is no further friction.
+    told = {(row.name, row.of) for row in rows}
+    for row in sensors(fitted):
+        if (row.name.removeprefix(FURTHER), row.of) not in told or row.of == "arm":
+            rows.append(row)
+    return rows
 
 
 def select(fitted: Fit, names: Sequence[str]) -> Array:
@@ -317,7 +359,7 @@ def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
         elif math.isinf(error):
             reason = NOT_SHOWN
         # A joint's friction beyond its terms, which errors allow for, is none of these terms.
-        further = "further_" if term.cause == FURTHER_FRICTION else ""
+        further = FURTHER if term.cause == FURTHER_FRICTION else ""
         yield Quantity(
             f"{further}{parameter.name}",
             parameter.of or "arm",
@@ -341,6 +383,98 @@ def joint_quantities(fitted: Fit) -> list[Quantity]:
     terms = [t for t in fitted.equations.terms if t.cause in _OF_JOINTS]
     owners = fitted.arm.owners
     return sorted(term_quantities(fitted, terms), key=lambda row: owners.index(row.of))
+
+
+def friction_in(fitted: Fit, file: Fit) -> list[Quantity]:
+    """Return friction and rotors of a fit with the friction of its model file: one number each.
+
+    Dry, viscous and fading friction trade with one another, and a file has but some of these. The
+    error of a number is that of the fit of all terms, and how far the file's number is off its
+    number: where the two differ, neither is known better.
+    """
+    terms = [
+        term
+        for term in fitted.equations.terms
+        if term.cause in _OF_JOINTS or term.key == BEND.name
+    ]
+    bent = {*bent_owners(file)}
+    owners = fitted.arm.owners
+    rows = []
+    for row in term_quantities(fitted, terms):
+        name = row.name.removeprefix(FURTHER)
+        if name == BEND.name and row.of not in bent:
+            continue
+        key = TERMS[name].key_of(row.of)
+        # Offsets and rotors are none of the file's own.
+        if TERMS[name].is_friction and key in file.names:
+            value = file.by_name[key]
+            apart = abs(value - row.value)
+            is_held = key in file.at_bound and math.isnan(row.error or 0.0)
+            error = math.nan if is_held else math.hypot(finite(row.error), apart)
+            source = row.source if is_held or row.source != BOUND else DATA
+            row = replace(row, name=name, value=value, error=error, source=source)
+        rows.append(row)
+    return sorted(rows, key=lambda row: owners.index(row.of))
+
+
+def finite(error: float | None) -> float:
+    """Return a standard error, 0 of a number that is held at its bound."""
+    return 0.0 if error is None or math.isnan(error) else error
+
+
+def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
+    """Yield the friction of each joint and motor that bends in a file, at three speeds.
+
+    Its error is that of the sum of all terms of friction in the fit of all terms, whose parts trade
+    with one another; and how far the file is off that sum.
+    """
+    arm = fitted.arm
+    robot = arm.robot
+    speeds = speeds_in(fitted.recordings)
+    ratios = dict(zip(robot.joint_names, np.eye(robot.n_joints)))
+    ratios |= {motor.name: motor.ratios for motor in arm.motors}
+    loads = dict(zip(arm.joints, fitted.sums.rms_torque.tolist()))
+    for owner in bent_owners(file):
+        known_to = float(fastest_of(speeds, ratios[owner][None])[0])
+        of_speeds = known_to * np.array(CURVE_SHARES)
+        columns = friction_columns(arm, owner, of_speeds, loads.get(owner, 0.0))
+        sizes = np.array([*columns.values()])
+        model, written = (
+            np.array([values.get(key, 0.0) for key in columns]) @ sizes
+            for values in (arm.model, file.by_name)
+        )
+        slopes = np.zeros((len(of_speeds), len(fitted.names)))
+        for key, column in columns.items():
+            if key in fitted.names:
+                slopes[:, fitted.at([key])[0]] = column
+        variances = np.einsum("ij,jk,ik->i", slopes, fitted.covariance, slopes)
+        apart = written - slopes @ fitted.values
+        is_slide = owner in robot.slides
+        yield FrictionCurve(
+            of=owner,
+            unit=torque_unit(is_slide),
+            speed_unit=f"{position_unit(is_slide)}/s",
+            known_to=known_to,
+            speeds=tuple(of_speeds.tolist()),
+            model=tuple(model.tolist()),
+            torque=tuple(written.tolist()),
+            errors=tuple(np.sqrt(np.maximum(variances, 0.0) + apart**2).tolist()),
+        )
+
+
+def friction_columns(
+    arm: ArmTerms, owner: str, speeds: Array, load: float
+) -> dict[str, Array]:
+    """Return the names of a joint's or motor's friction terms to their torque (m,) at some speeds.
+
+    ``load`` is the torque that its gear transmits [N m].
+    """
+    state = (np.sign(speeds), speeds, 0.0 * speeds, load + 0.0 * speeds)
+    return {
+        term.key_of(owner): term.of_state(*state, arm.top_of(owner))
+        for term in TERMS.values()
+        if term.is_friction and term.key_of(owner) in arm.names
+    }
 
 
 def sensors(fitted: Fit) -> Iterator[Quantity]:
@@ -382,7 +516,6 @@ def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str
             f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
             "identifiable there, the model's values are kept"
         )
-    yield from _friction_notes(fitted, rows)
     yield from _offset_notes(file)
     if robot.kind == "urdf" and needs_mjcf(rows, fitted.arm.motors):
         tests = validation(file), error_without_rotors(file)
@@ -395,18 +528,35 @@ def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str
         )
 
 
-def file_quantities(fitted: Fit, file: Fit) -> Iterator[Quantity]:
-    """Yield the rows of the model file: friction terms and rotor inertia of joints and motors.
+def file_quantities(fitted: Fit, file: Fit, source: str) -> Iterator[Quantity]:
+    """Yield the rows of a model file: friction terms and rotor inertia of joints and motors.
 
-    A rotor is written, with its error, where it differs from the model's. The offset of a torque
-    sensor is not friction, and is not written. What is written has to hold on another day, too: the
-    errors of friction have its change in them.
+    A rotor is written, with its error, where it differs from the model's; so is damping that the
+    model bends and the file does not. The offset of a torque sensor is not friction, and is not
+    written. What is written has to hold on another day, too: the errors of friction have its change
+    in them.
+
+    Args:
+        fitted: the fit of all terms.
+        file: the fit of the file.
+        source: of the rows, ``FILE`` or ``CURVED``.
     """
+    bent = {*bent_owners(file)}
     for row in joint_quantities(file):
-        if row.name not in ("offset", "armature"):
+        if row.name in (OFFSET.name, ROTOR.name):
+            continue
+        if row.name != BEND.name or row.of in bent:
             assert row.error is not None
             error = math.hypot(row.error, FRICTION_CHANGE * row.value)
-            yield replace(row, error=error, source=FILE, reason="")
+            yield replace(row, error=error, source=source, reason="")
+    for term in POLYNOMIAL:
+        of_arm = file.arm.terms.get(term.name)
+        for parameter in of_arm.parameters if of_arm else ():
+            model = fitted.arm.model.get(parameter.key, 0.0)
+            value = file.by_name[parameter.key]
+            if value != model:
+                about = parameter.name, parameter.of, parameter.unit
+                yield Quantity(*about, model, value, math.nan, source)
     robot = fitted.arm.robot
     for owner in fitted.arm.owners:
         rotor_parameter = ROTOR.at(owner, owner in robot.slides)
@@ -418,32 +568,27 @@ def file_quantities(fitted: Fit, file: Fit) -> Iterator[Quantity]:
             is_estimated = name in fitted.names
             error = quantity(fitted, name)[1] if is_estimated else math.nan
             unit = rotor_parameter.unit
-            yield Quantity(ROTOR.name, owner, unit, model_rotor, rotor, error, FILE)
+            yield Quantity(ROTOR.name, owner, unit, model_rotor, rotor, error, source)
 
 
-def _friction_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
-    """Yield a sentence on dry friction in a file, of its rows, that is not the identified one."""
-    phrases = []
-    for row in rows:
-        name = COULOMB.key_of(row.of)
-        if row.name == "coulomb" and name in fitted.names:
-            value, error = quantity(fitted, name)
-            if abs(row.value - value) > INTERVAL * error:
-                number = with_error(value, error, row.unit)
-                phrases.append(f"{row.of} {row.value:.3g} for {number}")
-    if phrases:
-        yield (
-            f"the dry friction in the written file is not as identified ({', '.join(phrases)}): it "
-            "stands for friction that bends or fades with speed, or grows with the load, too, "
-            "which no file holds"
-        )
+def curve_notes(file: ModelFile, curves: Sequence[FrictionCurve]) -> Iterator[str]:
+    """Yield sentences on friction that bends: what each file has of it, and how far it is known."""
+    speeds = ", ".join(f"{c.of} {c.known_to:.2g} {c.speed_unit}" for c in curves)
+    assert file.curved is not None
+    shares = [percent(f.after.relative_error or 0.0) for f in (file, file.curved)]
+    yield (
+        f"friction of {', '.join(c.of for c in curves)} bends with speed: {MODEL_NAMES['mjcf']} "
+        f"has the straight line nearest to it ({shares[0]} torque error on held-out data, torque "
+        f"offsets aside), the curve itself makes {shares[1]}"
+    )
+    yield f"friction is known up to the highest speeds of the logs: {speeds}"
 
 
 def _offset_notes(file: Fit) -> Iterator[str]:
     """Yield a sentence on torque offsets that are larger than a fitted file's held-out error."""
     squares = 0.0
     phrases = []
-    for row, parameter in enumerate(file.arm.terms["offset"].parameters):
+    for row, parameter in enumerate(file.arm.terms[OFFSET.name].parameters):
         if parameter.key in file.names:
             offset, error = quantity(file, parameter.key)
             if abs(offset) > SURE * error:
@@ -500,7 +645,7 @@ def traces_of(fitted: Fit) -> Traces:
     model = dict(arm.model)
     if fitted.question.loaded:
         model = {**values, **dict.fromkeys(PAYLOAD_NAMES, 0.0)}
-    model.update((name, values[name]) for name in arm.terms["offset"].names)
+    model.update((name, values[name]) for name in arm.terms[OFFSET.name].names)
     friction = {
         name: values[name]
         for term in fitted.equations.terms

@@ -29,7 +29,15 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.friction import OFFSET, TERMS, Coupling
+from robot_sysid.dynamics.friction import (
+    BEND,
+    OFFSET,
+    POLYNOMIAL,
+    TERMS,
+    Coupling,
+    stated_top,
+    top_speeds,
+)
 from robot_sysid.dynamics.inverse_dynamics import (
     BeyondRigidBodies,
     gravity_vector,
@@ -40,6 +48,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.links import reference_links
 from robot_sysid.estimate.rows import JointSums, Rows, Sums, block_numbers, row_chunks
+from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel, parameters
 from robot_sysid.records.parameters import INERTIAL, Parameter, keys_of, of_body
 from robot_sysid.signals.process import FilteredRecording, Mask
@@ -65,10 +74,10 @@ PAYLOAD_NAMES = keys_of(of_body("payload"))
 USUAL_FRICTION = tuple(
     name
     for name, term in TERMS.items()
-    if term.prior or term.attribute or term is OFFSET
+    if term.prior or (term.attribute and term not in POLYNOMIAL) or term is OFFSET
 )
-"""Friction terms that have columns whatever the friction model is: those that a file holds, offsets
-of sensors, and those that a prior allows for."""
+"""Friction terms that have columns whatever the friction model is: those that any file holds,
+offsets of sensors, and those that a prior allows for."""
 
 
 @dataclass(frozen=True)
@@ -196,8 +205,12 @@ class ArmTerms:
         motors: motors that turn several joints.
         friction: names of friction terms that have columns beside those of ``USUAL_FRICTION``.
         loaded: whether some recordings carry a payload.
+        fastest: (n,) highest speed of each joint in the recordings [rad/s or m/s]; None for none.
 
     Attributes:
+        tops: (n,) speeds at which the joints' friction is flat [rad/s or m/s]; a model that bends
+            is known up to its own.
+        stated_tops: (n,) those of the model's own friction that bends; 0 of others.
         joints: names of the J joints with equations.
         indices: (J,) their numbers among the joints of the chain.
         links: number of each link with parameters, base to terminal, to the names of these.
@@ -212,18 +225,28 @@ class ArmTerms:
         motors: Sequence[Coupling] = (),
         friction: Sequence[str] = (),
         loaded: bool = False,
+        fastest: Array | None = None,
     ) -> None:
         self.robot = robot
         self.motors = tuple(motors)
-        self.friction = tuple(dict.fromkeys((*USUAL_FRICTION, *friction)))
         n = robot.n_joints
+        # Columns of what the model does not state would cost time.
+        rigid = without_polynomials(robot)
+        polynomial = [] if rigid is robot else [term.name for term in POLYNOMIAL]
+        self.friction = tuple(dict.fromkeys((*USUAL_FRICTION, *polynomial, *friction)))
+        stated = (term.stated(robot) for term in POLYNOMIAL)
+        self.stated_tops = stated_top(robot.friction.viscous, *stated)
+        fastest = np.zeros(n) if fastest is None else fastest
+        self.tops = np.maximum(
+            top_speeds(fastest, stated_speeds(robot)), self.stated_tops
+        )
         self.indices = np.arange(0 if torques == "chain" else n - 1, n)
         self.joints = tuple(robot.joint_names[j] for j in self.indices)
         self.others = other_links(robot) if torques == "chain" else ()
         self.links = {link: link_names(robot, link) for link in self.others}
         self.links[n - 1] = keys_of(INERTIAL)
         self.has_gravity = bool(np.any(gravity_vector(robot)))
-        self._beyond = BeyondRigidBodies(robot)
+        self._beyond = BeyondRigidBodies(rigid)
         self.terms = {term.key: term for term in self._terms(loaded)}
         self.model: dict[str, float] = {}
         for link, names in self.links.items():
@@ -241,6 +264,13 @@ class ArmTerms:
     def owners(self) -> tuple[str, ...]:
         """Names of what has friction and rotors: joints, and motors that turn several."""
         return *self.robot.joint_names, *(motor.name for motor in self.motors)
+
+    def top_of(self, owner: str) -> float:
+        """Return the speed at which the friction of a joint or motor is flat [rad/s or m/s]."""
+        for motor in self.motors:
+            if motor.name == owner:
+                return motor.top
+        return float(self.tops[self.robot.joint_names.index(owner)])
 
     def _of_joints(
         self, entry: Parameter, indices: Iterable[int] | None = None
@@ -277,6 +307,13 @@ class ArmTerms:
             own = self._of_joints(TERMS[name])
             columns = partial(self._friction, name)
             reference = TERMS[name].stated(robot)[self.indices]
+            if TERMS[name] in (BEND, *POLYNOMIAL):
+                own += tuple(TERMS[name].at(motor.name) for motor in self.motors)
+                columns = partial(self._with_motors, name)
+                of_motors = [
+                    stated_at(robot, motor, TERMS[name]) for motor in self.motors
+                ]
+                reference = np.append(reference, of_motors)
             yield Term(FRICTION, own, columns, reference=reference)
         yield from map(self.motor, self.motors)
         scales = self._of_joints(parameters.SCALE)
@@ -438,11 +475,23 @@ class ArmTerms:
             return term.torque(sign, sign, sign, load)
         if term.is_dry:
             return rows.low_passed(name, term.column)[:, self.indices]
-        return term.column(rows.motion)[:, self.indices]
+        return term.column(rows.motion, self.tops)[:, self.indices]
 
     def _friction(self, name: str, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of a friction term."""
         return self._per_joint(self.friction_column(name, rows, point))
+
+    def _with_motors(self, name: str, rows: Rows, point: Point) -> Array:
+        """Return the columns (m, J, J + motors) of a term that motors of several joints have, too.
+
+        It depends on speed alone.
+        """
+        columns = [self._friction(name, rows, point)]
+        for motor in self.motors:
+            speed = rows.motion.qd @ motor.ratios
+            torque = TERMS[name].of_state(speed, speed, speed, speed, motor.top)
+            columns.append((torque[:, None] * motor.ratios[self.indices])[:, :, None])
+        return np.concatenate(columns, axis=2)
 
     def _motor(self, motor: Coupling, rows: Rows, _: Point | None = None) -> Array:
         """Return the columns (m, J, 3) of a motor that turns several joints.
@@ -511,3 +560,34 @@ class ArmTerms:
             if np.any(sizes):
                 friction += self.friction_column(name, rows, point) * sizes
         return friction
+
+
+def stated_speeds(robot: RobotModel) -> Array:
+    """Return the speed limits (n,) that a model file states; infinite where it states none."""
+    if robot.stated_speeds is None:
+        return np.full(robot.n_joints, np.inf)
+    return robot.stated_speeds
+
+
+def stated_at(robot: RobotModel, motor: Coupling, parameter: Parameter) -> float:
+    """Return the model's value of a motor that turns several joints; 0 where it states none."""
+    if motor.tendon is None or not parameter.attribute:
+        return 0.0
+    return float(parameter.stated_in(robot.mj_model, "tendon")[motor.tendon])
+
+
+def without_polynomials(robot: RobotModel) -> RobotModel:
+    """Return an arm without nonlinear damping of its joints and motors: terms have it."""
+    tendons = [*shared_motors(robot.mj_model, robot.dof_index)]
+    stated = [
+        np.concatenate(
+            (term.stated(robot), term.stated_in(robot.mj_model, "tendon")[tendons])
+        )
+        for term in POLYNOMIAL
+    ]
+    if not np.any(stated):
+        return robot
+    model = copy(robot.mj_model)
+    model.dof_dampingpoly[robot.dof_index] = 0.0
+    model.tendon_dampingpoly[tendons] = 0.0
+    return replace(robot, mj_model=model)

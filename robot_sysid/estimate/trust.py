@@ -24,10 +24,6 @@ from robot_sysid.records.messages import Level, Remark, percent, torque_unit, wi
 from robot_sysid.results.record import BodyEstimate, ModelErrors, Quantity, Verdict
 from robot_sysid.wording import option_name
 
-UNEXPLAINED = 0.05
-"""Share of all torque that neither model nor noise explains, above which a result is not
-trustworthy: logs of right models have 0.4 to 3 %."""
-
 
 def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
     """Yield reasons why the torques do not follow from the motion within their noise.
@@ -225,7 +221,9 @@ def judge_file(errors: ModelErrors, data: str = "held-out data") -> Remark:
     """Return the verdict on a written file from its error and that of the given model.
 
     What is clearly higher in paired blocks of time is worse, over all or at one joint, and so is an
-    error of more than half the torque. One that is small beside the torque does not count.
+    error of more than half the torque. One that is small beside the torque does not count. It is
+    judged as it will be used, too: an offset that no file holds is then an error, like weight that
+    the fit took for one.
 
     Args:
         errors: of both, in the same blocks.
@@ -240,10 +238,20 @@ def judge_file(errors: ModelErrors, data: str = "held-out data") -> Remark:
     after = np.sum(errors.after.blocks, axis=1)
     if new > 0.5 or (new > NEGLIGIBLE and is_clearly_lower(before, after)):
         return Verdict.NO_BETTER.remark(sentence)
+    used = errors.before_as_used, errors.after_as_used
+    shares = [each.relative_error or 0.0 for each in used]
+    before, after = (np.sum(each.blocks, axis=1) for each in used)
+    if shares[1] > NEGLIGIBLE and is_clearly_lower(before, after):
+        return Verdict.NO_BETTER.remark(
+            f"torque error of the model on {data}, with the offsets of its sensors, which no file "
+            f"holds, counted as errors: {percent(shares[0])} -> {percent(shares[1])}"
+        )
     worse = worse_joints(errors.before, errors.after)
     if worse:
         return Verdict.NO_BETTER.remark(f"{sentence}, but worse at {', '.join(worse)}")
-    is_better = is_clearly_lower(after, before)
+    is_better = is_clearly_lower(
+        np.sum(errors.after.blocks, axis=1), np.sum(errors.before.blocks, axis=1)
+    )
     return (Verdict.BETTER if is_better else Verdict.AS_GOOD).remark()
 
 

@@ -73,12 +73,14 @@ class ElementChange:
             position actuator, before its gear, "kp" and "kv", with which it makes
             kp (ctrl - q) - kv qd. A <position> has no kv before MuJoCo 3.1.
         coefficients: joint name to speed of the tendon per speed of that joint.
+        further: new damping per speed squared and cubed; None leaves the file's.
     """
 
     kind: str
     owner: Any
     numbers: Mapping[str, float]
     coefficients: Mapping[str, float] = field(default_factory=dict)
+    further: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -228,7 +230,7 @@ def _write_gravity(document: ModelDocument, gravity: Array) -> None:
 
 
 def write_element(document: ModelDocument, change: ElementChange, rmse: float) -> None:
-    """Give an element its new numbers; nonlinear damping of a joint stays behind linear one.
+    """Give an element its new numbers; nonlinear damping stays behind linear one, or is new.
 
     Args:
         document: the model file.
@@ -272,6 +274,9 @@ def write_element(document: ModelDocument, change: ElementChange, rmse: float) -
         text = format_number(value)
         if name == "damping" and change.kind != "actuator":
             nonlinear = (node.get(name) or "").split()[1:]
+            if change.further is not None:
+                is_any = any(change.further)
+                nonlinear = [*map(format_number, change.further)] if is_any else []
             text = " ".join([text, *nonlinear])
         is_renamed = node.tag == "dynamics" and name == "frictionloss"
         node.set("friction" if is_renamed else name, text)

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.estimate.choose import motors_of
+from robot_sysid.estimate.choose import fastest_of, motors_of, speeds_in
 from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.identifiability import describe
 from robot_sysid.estimate.links import EXPECTED
@@ -48,12 +48,19 @@ noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.payload_plan)."""
 
 
 def _arm_terms(
-    problem: ExcitationProblem, options: EstimationOptions, loaded: bool = False
+    problem: ExcitationProblem,
+    options: EstimationOptions,
+    loaded: bool = False,
+    speeds: Array | None = None,
 ) -> ArmTerms:
-    """Return all terms of an arm; its motors are those that the model states."""
+    """Return all terms of an arm; its motors are those that the model states.
+
+    ``speeds`` (K, n) are the joints' velocities in the recording; None without one.
+    """
     robot = problem.robot
-    motors, _ = motors_of(robot, options.torques)
-    return ArmTerms(robot, options.torques, motors, options.friction, loaded)
+    motors, _ = motors_of(robot, options.torques, speeds)
+    fastest = None if speeds is None else fastest_of(speeds, np.eye(robot.n_joints))
+    return ArmTerms(robot, options.torques, motors, options.friction, loaded, fastest)
 
 
 def prior_knowledge(
@@ -190,10 +197,10 @@ def expected_fit(
         InputError: the motion cannot be processed as a log.
     """
     loaded = aim.target == "payload"
-    arm = _arm_terms(problem, options, loaded)
     # Far above the band of a motion [Hz]; the noise of a sample is scaled to the lower rate.
     rate = min(sample_rate, 200.0)
     processed = _processed_motion(problem, plan, rate, options)
+    arm = _arm_terms(problem, options, loaded, speeds_in([processed]))
     recordings = _payload_recordings(processed) if loaded else (processed,)
     point = replace(arm.start(), friction=arm.model)
     values = {}

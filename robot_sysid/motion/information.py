@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import TERMS
+from robot_sysid.dynamics.friction import TERMS, top_speeds
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.records.parameters import SCALE
@@ -78,6 +78,9 @@ class Criterion:
         self._problem = problem
         self._theta = np.ravel([problem.robot.links[k].theta for k in problem.links])
         self._joints = slice(problem.rows[0], None)
+        # A motion goes up to the limits, and a little beyond them friction is flat.
+        tops = top_speeds(problem.limits.velocity, problem.limits.velocity)
+        self._tops = tops[self._joints, None]
         self._smooth_speed = smoothing * problem.limits.velocity[self._joints]
         # All directions at first, and the noise of one torque [N m]: only shares count.
         scale = np.diag(problem.robot.prior.scale)
@@ -164,7 +167,9 @@ class Criterion:
         qdd = qdd.T[self._joints]
         sign = np.tanh(qd / self._smooth_speed[:, None])
         terms = [
-            load if name == SCALE.name else TERMS[name].torque(sign, qd, qdd, load)
+            load
+            if name == SCALE.name
+            else TERMS[name].of_state(sign, qd, qdd, load, self._tops)
             for name in self._terms
         ]
         return np.concatenate((links, np.stack(terms, axis=1)), axis=1)

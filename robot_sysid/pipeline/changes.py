@@ -21,11 +21,12 @@ from itertools import chain, compress
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import OFFSET, TERMS
+from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.fit import Fit, LeftOut
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question, arm_question
+from robot_sysid.estimate.result import friction_columns
 from robot_sysid.estimate.terms import (
     DELAY,
     DRIFT,
@@ -307,19 +308,14 @@ def _friction(fitted: Fit) -> Iterator[Change]:
     rms_speeds = np.sqrt(np.sum(np.where(used, speeds, 0.0) ** 2, axis=0) / counts)
     torques = fitted.sums.rms_torque
     for row, joint in enumerate(arm.joints):
-        speed = float(rms_speeds[arm.indices[row]])
+        speed = np.array([rms_speeds[arm.indices[row]]])
         slopes = np.zeros(len(fitted.names))
         stated = 0.0
-        for name in arm.friction:
-            term = TERMS[name]
-            key = term.key_of(joint)
-            if not term.is_friction:
-                continue
-            state = np.array([[1.0], [speed], [0.0], [torques[row]]])
-            of_unit = float(term.torque(*state)[0])
-            stated += of_unit * arm.model.get(key, 0.0)
+        columns = friction_columns(arm, joint, speed, float(torques[row]))
+        for key, column in columns.items():
+            stated += float(column[0]) * arm.model.get(key, 0.0)
             if key in fitted.names:
-                slopes[fitted.at([key])] = of_unit
+                slopes[fitted.at([key])] = column[0]
         value = float(slopes @ fitted.values)
         error = max(float(slopes @ fitted.covariance @ slopes), 0.0) ** 0.5
         unit = torque_unit(joint in arm.robot.slides)

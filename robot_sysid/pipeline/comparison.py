@@ -23,7 +23,6 @@ from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import PAYLOAD_NAMES, ArmTerms
-from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.changes import (
@@ -40,7 +39,7 @@ from robot_sysid.pipeline.changes import (
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.file_access import RUN_NAME, read_toml
-from robot_sysid.records.levels import SURE
+from robot_sysid.records.levels import SURE, UNEXPLAINED
 from robot_sysid.records.messages import (
     Level,
     Progress,

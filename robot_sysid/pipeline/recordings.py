@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from robot_sysid.config import IdentifyConfig, PayloadConfig, SelfTestConfig
 from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import answer_of, solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import predicted
 from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.restricted_fit import errors_on, fit_file
+from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import link_result
 from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
@@ -111,7 +111,7 @@ def identify_plant(
     notes = (*plant.notes, *piece_notes(run, pieces), *filter_notes)
     progress.note(*notes)
     progress.stage("Solving for parameters...")
-    fitted = solved(robot, recordings, Question(options), progress)
+    fitted = answer_of(solved(robot, recordings, Question(options), progress))
     return _result(fitted, origin, notes, progress)
 
 
@@ -137,7 +137,9 @@ def _result(
     """
     cutoff = fitted.recordings[0].cutoff
     progress.stage(Detail("Fitting the model file..."))
-    file = fit_file(fitted)
+    # Rollouts polish the numbers of one file.
+    polishes = fitted.question.options.polish
+    file = fit_file(fitted, may_bend=not polishes)
     robot = fitted.arm.robot
     others = []
     for log in tests:
@@ -147,11 +149,10 @@ def _result(
 
     def result_of(file: Fit, *sentences: str) -> Identification:
         """Return the result with a fit of the model file."""
-        of_file = [errors_on(file, *other) for other in others]
-        return link_result(fitted, file, errors, origin, (*notes, *sentences), of_file)
+        return link_result(fitted, file, errors, origin, (*notes, *sentences), others)
 
     result = result_of(file)
-    if not fitted.question.options.polish or result.failure:
+    if not polishes or result.failure:
         return result
     from robot_sysid.servo.polish import polish, with_errors_of, written_arm
 
@@ -219,7 +220,7 @@ def identify_payload(
     fitted, file = weighed, None
     if options.known_mass is not None:
         known = replace(question, known_mass=options.known_mass)
-        fitted = solved(robot, weighed.recordings, known, progress)
+        fitted = answer_of(solved(robot, weighed.recordings, known, progress))
     elif config.estimation.torques == "chain":
         progress.stage(Detail("Fitting the model file..."))
         carried, _ = written_payload(weighed)

@@ -240,6 +240,8 @@ class RobotModel:
         kind: "mjcf" or "urdf".
         mass_scale: by which masses and moments of inertia differ from those of the file.
         gravity: (3,) in place of that of the file [m/s^2]; None for the file's.
+        stated_speeds: (n,) speed limits that the file states [rad/s or m/s], infinite where it
+            states none; the limits above may be the user's. None for none.
         notes: what the reader of the file had to assume, one sentence each.
     """
 
@@ -257,6 +259,7 @@ class RobotModel:
     kind: str = "mjcf"
     mass_scale: float = 1.0
     gravity: Array | None = None
+    stated_speeds: Array | None = None
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

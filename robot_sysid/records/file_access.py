@@ -25,6 +25,8 @@ from robot_sysid.records.controllers import SIMULATORS
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Format of the robot's model file to the name of the written model: a URDF stays one."""
+CURVED_NAME = "updated_model_curved.xml"
+"""Name of the written model whose friction bends with speed; the other one loads everywhere."""
 PARAMS_NAME = "params.json"
 """Name of the file with all identified numbers of a run."""
 PLAN_NAME = "trajectory.json"
@@ -47,6 +49,7 @@ RESULT_NAMES = (
     PARAMS_NAME,
     SERVO_NAME,
     *MODEL_NAMES.values(),
+    CURVED_NAME,
     CARD_NAME,
     *SIMULATOR_CARD_NAMES.values(),
 )
@@ -60,7 +63,10 @@ _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 
 
 def models_in(files: Iterable[Path]) -> list[Path]:
-    """Return the updated models, MJCF or URDF, among written files; empty if there is none."""
+    """Return the updated models, MJCF or URDF, among written files; empty if there is none.
+
+    That with friction that bends is beside one of them.
+    """
     return [path for path in files if path.name in MODEL_NAMES.values()]
 
 

@@ -18,3 +18,6 @@ wrong as usual look like included: every run of a sound arm is compared in thirt
 TELLING = 0.02
 """Least share of all torque that such a difference has to make: a wrist that carries next to
 nothing shows a zero of 9 ± 2 or 13 ± 3 degrees, which is its friction."""
+UNEXPLAINED = 0.05
+"""Share of all torque that neither model nor noise explains, above which a result is not
+trustworthy: logs of right models have 0.4 to 3 %."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,11 @@ class Parameter:
         lower, upper: bounds where no prior stands in their place.
         prior: standard deviation where a friction model lacks the term, over the joint's dry
             friction and the prior "friction"; 0 of a term that is then taken to be nothing.
-        attribute: of a joint that holds it in a model file (MJCF); "" where none does.
+        attribute: of a joint that holds it in a compiled model; "" where none does.
+        entry: of the attribute, where that is an array; None where it is a number.
+        over_top: whether its torque is a function of the speed over the joint's top speed, at which
+            its friction is flat, in place of the speed.
+        yields: whether it is held at its bound before others are that cross theirs.
         of: joint or motor that has it; "" for the arm, and in a table.
         is_slide: whether that is a slide.
     """
@@ -59,13 +64,28 @@ class Parameter:
     upper: float = np.inf
     prior: float = 0.0
     attribute: str = ""
+    entry: int | None = None
+    over_top: bool = False
+    yields: bool = False
     of: str = ""
     is_slide: bool = False
 
-    def column(self, motion: Motion) -> Array:
-        """Return the torque per unit (N, n) of n joints without load."""
+    def column(self, motion: Motion, top: Array | float = 1.0) -> Array:
+        """Return the torque per unit (N, n) of n joints without load.
+
+        ``top`` (n,) are the speeds at which their friction is flat.
+        """
         qd = motion.qd
-        return self.torque(np.sign(qd), qd, motion.qdd, 0.0 * qd)
+        return self.of_state(np.sign(qd), qd, motion.qdd, 0.0 * qd, top)
+
+    def of_state(
+        self, sign: Array, qd: Array, qdd: Array, load: Array, top: Array | float
+    ) -> Array:
+        """Return the torque per unit of joints in some states, arrays of one shape.
+
+        ``top`` are the speeds at which their friction is flat, in a shape that fits.
+        """
+        return self.torque(sign, qd / top if self.over_top else qd, qdd, load)
 
     @property
     def key(self) -> str:
@@ -86,7 +106,15 @@ class Parameter:
         """Return the model's value (n,) of each joint; zero of what no file holds."""
         if not self.attribute:
             return np.zeros(robot.n_joints)
-        return getattr(robot.mj_model, f"dof_{self.attribute}")[robot.dof_index]
+        return self.stated_in(robot.mj_model, "dof")[robot.dof_index]
+
+    def stated_in(self, mj_model: Any, kind: str) -> Array:
+        """Return a compiled model's values of all its joints ("dof") or tendons ("tendon")."""
+        count = mj_model.nv if kind == "dof" else mj_model.ntendon
+        # Older releases of MuJoCo lack polynomials, and rotors of tendons.
+        missing = np.zeros(count if self.entry is None else (count, self.entry + 1))
+        values = getattr(mj_model, f"{kind}_{self.attribute}", missing)
+        return values if self.entry is None else values[:, self.entry]
 
     def at(self, owner: str, is_slide: bool = False) -> Parameter:
         """Return the parameter of a joint or motor."""

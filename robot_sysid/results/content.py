@@ -2,8 +2,8 @@
 
 Console and report are views of it. It is strict JSON in full precision: numbers that are not finite
 are null. ``inertia_tensor`` is about the body ORIGIN; the torque that friction takes is the sum of
-all terms' values times ``friction_formulas``, with ``qd`` the joint's speed and ``load`` the torque
-its gear transmits (that of the links alone).
+all terms' values times ``friction_formulas``, with ``qd`` the joint's speed, ``top`` its entry in
+``friction_tops``, and ``load`` the torque its gear transmits (that of the links alone).
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics.friction import ROTOR, TERMS
-from robot_sysid.records.file_access import strict_json
+from robot_sysid.records.file_access import CURVED_NAME, strict_json
 from robot_sysid.records.messages import says
 from robot_sysid.results.record import Identification
-from robot_sysid.results.written_model import versions
+from robot_sysid.results.written_model import can_bend, versions
 from robot_sysid.spatial import PARAMETER_NAMES
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Version of the format of params.json; readers refuse other versions."""
 Content = Mapping[str, Any]
 """Key to value of params.json, or column to value of one of its rows."""
@@ -31,6 +31,7 @@ def content_of(
     card: Content | None = None,
     notes: Sequence[str] = (),
     failure: str | None = None,
+    has_curved: bool = True,
 ) -> dict[str, Any]:
     """Return the content of params.json but for the verdict and the next step.
 
@@ -39,6 +40,7 @@ def content_of(
         card: numbers of the payload's card; None where none is written.
         notes: remarks on the written files, one sentence each.
         failure: why a result that is usable in itself must not be used; None for no such reason.
+        has_curved: whether a file whose friction bends could be written.
     """
     quality = result.quality
     robot = result.robot
@@ -77,7 +79,9 @@ def content_of(
         "friction_formulas": {
             name: term.formula for name, term in TERMS.items() if term is not ROTOR
         },
-        "file": result.file and {"name": result.model_name, **strict_json(result.file)},
+        "friction_tops": result.tops,
+        "curves": result.curves,
+        "file": result.file and _file_content(result, has_curved),
         "payload": payload
         and {
             "flange": payload.flange,
@@ -101,6 +105,15 @@ def content_of(
         "versions": versions(),
     }
     return {key: strict_json(value) for key, value in content.items()}
+
+
+def _file_content(result: Identification, has_curved: bool) -> dict[str, Any]:
+    """Return what is said of the written files; ``has_curved`` as of ``content_of``."""
+    content = {"name": result.model_name, **strict_json(result.file)}
+    if content["curved"] is not None:
+        name = CURVED_NAME if has_curved and can_bend() else None
+        content["curved"] = {"name": name, **content["curved"]}
+    return content
 
 
 def refusal(result: Identification) -> str | None:

@@ -16,7 +16,12 @@ import numpy as np
 
 from robot_sysid.records import ITSELF
 from robot_sysid.records.controllers import SIMULATORS
-from robot_sysid.records.file_access import CARD_NAME, SIMULATOR_CARD_NAMES, models_in
+from robot_sysid.records.file_access import (
+    CARD_NAME,
+    CURVED_NAME,
+    SIMULATOR_CARD_NAMES,
+    models_in,
+)
 from robot_sysid.records.messages import Detail, NextStep, percent
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
@@ -201,12 +206,15 @@ def verdict_line(content: Content) -> str:
     return f"{use}: {'; '.join(_improvements(content))}"
 
 
-def before_after_text(tests: Content) -> str:
+def before_after_text(tests: Content, kind: str = "") -> str:
     """Return the relative errors "before" and "after" as text, such as "27 % -> 0.3 %".
 
-    An error that is not known is left out, "not known" stands for both.
+    An error that is not known is left out, "not known" stands for both. The errors are those
+    without offsets of sensors, or with ``kind`` "_as_used" those with them.
     """
-    errors = [tests[model]["relative_error"] for model in ("before", "after")]
+    errors = [
+        tests[f"{model}{kind}"]["relative_error"] for model in ("before", "after")
+    ]
     texts = [percent(error) for error in errors if error is not None]
     return " -> ".join(texts) or "not known"
 
@@ -218,8 +226,10 @@ def _improvements(content: Content) -> Iterator[str]:
     if file:
         # A payload is part of both models: the change is that of links and friction.
         load = " with the payload" if payload else ""
-        shares = before_after_text(file)
-        yield f"torque error{load} on held-out data, torque offsets aside, {shares}"
+        yield (
+            f"torque error{load} on held-out data {before_after_text(file, '_as_used')} as the "
+            f"files are used, {before_after_text(file)} torque offsets aside"
+        )
     if payload and payload["known_mass"]:
         yield "torque scales follow from the known mass"
         return
@@ -235,20 +245,53 @@ def _improvements(content: Content) -> Iterator[str]:
     yield f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
 
 
-def use_lines(path: Path, contents: str = "") -> tuple[str, str, str]:
+def use_lines(
+    path: Path, start: str = "Use this file", reason: str = ""
+) -> tuple[str, str, str]:
     """Return which model file to use, which MuJoCo loads it, and a line of Python that does.
 
     Args:
         path: of the written file, which has been compiled by the installed MuJoCo.
-        contents: what the file is of, behind a comma; "" for the arm.
+        start: beginning of the first line, such as "Use this file".
+        reason: what speaks for it, behind the path; "" for nothing.
     """
     text = json.dumps(str(path), ensure_ascii=False)
     return (
-        f"Use this file{contents}: {path}",
+        f"{start}: {path}{reason}",
         f"  mujoco.MjModel.from_xml_path({text})",
         f"It loads in MuJoCo {mujoco.__version__} (tested); others from 3.0 on load it if they "
         "load your model",
     )
+
+
+def file_lines(content: Content, files: Sequence[Path]) -> Iterator[str]:
+    """Yield lines on the written model files, that whose friction bends with speed first.
+
+    Args:
+        content: of params.json.
+        files: the written files.
+    """
+    contents = ", the arm with its payload" if content["payload"] else ""
+    start = f"Use this file{contents}"
+    curved = [path for path in files if path.name == CURVED_NAME]
+    for path in models_in(files)[:1]:
+        reason = ""
+        if curved:
+            file = content["file"]
+            shares = [
+                percent(each["after"]["relative_error"] or 0.0)
+                for each in (file["curved"], file)
+            ]
+            first, call, _ = use_lines(
+                curved[0],
+                start,
+                f" (torque error {shares[0]}; its friction bends with speed, which MuJoCo from "
+                "3.7 on, MuJoCo Warp and mjlab read)",
+            )
+            yield from (first, call)
+            start = f"With anything else, use this file{contents}"
+            reason = f" ({shares[1]}; the straight line nearest to that friction)"
+        yield from use_lines(path, start, reason)
 
 
 def card_lines(files: Iterable[Path]) -> list[str]:
@@ -270,11 +313,9 @@ def last_lines(
     lines = [verdict_line(content)]
     if content["failure"] is not None:
         return lines
-    contents = ", the arm with its payload" if content["payload"] else ""
     # A self-test writes back what its model says already.
     if content["source"] != ITSELF:
-        for path in models_in(files)[:1]:
-            lines += use_lines(path, contents)
+        lines += file_lines(content, files)
     lines += card_lines(files)
     if content["payload"] is not None:
         flange = content["payload"]["flange"]["name"]

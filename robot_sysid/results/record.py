@@ -119,6 +119,8 @@ BOUND = "bound"
 """Source of a number that is held at its bound, without a standard error."""
 FILE = "file"
 """Source of a number of the written model, fitted under the restrictions of its format."""
+CURVED = "curved file"
+"""Source of a number of the written model whose friction bends with speed."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class Quantity:
         error: standard error of ``value``, all causes together; infinite where the recordings do
             not determine it, NaN where it is held at a bound, None of a simulation of the model
             itself, which has rounding errors alone.
-        source: ``DATA``, ``MODEL``, ``BOUND`` or ``FILE``.
+        source: ``DATA``, ``MODEL``, ``BOUND``, ``FILE`` or ``CURVED``.
         reason: the cause of most of the error, or why there is none.
     """
 
@@ -203,15 +205,57 @@ class BodyEstimate(InertialParameters):
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Torque prediction errors of two models on the same data, each joint's sensor offset removed.
+    """Torque prediction errors of two models on the same data.
 
     Attributes:
-        before: of the original model.
-        after: of the written model.
+        before: of the original model, each joint's sensor offset removed.
+        after: of the written model, likewise.
+        before_as_used: of the original model, offsets counted as errors: no file holds them.
+        after_as_used: of the written model, likewise.
     """
 
     before: Validation
     after: Validation
+    before_as_used: Validation
+    after_as_used: Validation
+
+
+@dataclass(frozen=True)
+class CurvedFile(ModelErrors):
+    """What is said of the written model whose friction bends with speed.
+
+    Its numbers are the rows with the source ``CURVED``; all but friction is that of the other file.
+
+    Attributes:
+        others: errors on each of the other logs, held out as a whole.
+    """
+
+    others: tuple[ModelErrors, ...] = ()
+
+
+@dataclass(frozen=True)
+class FrictionCurve:
+    """Friction of a joint that bends with speed, at three speeds.
+
+    Attributes:
+        of: the joint, or a motor that turns several.
+        unit: of the torques.
+        speed_unit: of the speeds.
+        known_to: highest speed of the logs, up to which friction is known.
+        speeds: at which friction is stated, the last one ``known_to``.
+        model: friction in the original model.
+        torque: the identified friction.
+        errors: standard errors of the identified friction.
+    """
+
+    of: str
+    unit: str
+    speed_unit: str
+    known_to: float
+    speeds: tuple[float, ...]
+    model: tuple[float, ...]
+    torque: tuple[float, ...]
+    errors: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -225,12 +269,14 @@ class ModelFile(ModelErrors):
         gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
         kept: names of what the file keeps ("friction", "gravity", "other links").
         motors: those that turn several joints; params.json has their numbers as rows.
+        curved: the file beside it whose friction bends with speed; None where no joint's does.
     """
 
     others: tuple[ModelErrors, ...] = ()
     gravity: Array | None = None
     kept: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = field(default=(), compare=False)
+    curved: CurvedFile | None = None
 
 
 def needs_mjcf(rows: Iterable[Quantity], motors: Sequence[Coupling]) -> bool:
@@ -286,6 +332,8 @@ class Identification:
             determine the parameter. Empty for a simulation of the model itself.
         file: what is said of the written model; None where only the terminal link or the payload is
             written into the original.
+        curves: friction of the joints and motors whose friction bends.
+        tops: joint or motor to the speed at which friction that bends is flat [rad/s or m/s].
         payload: None of the question ``LINK``.
         validation: errors of the fit in predicting torques: of held-out stretches of its logs
             first, then of other logs.
@@ -309,6 +357,8 @@ class Identification:
     links: Mapping[str, BodyEstimate] = field(default_factory=dict)
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     file: ModelFile | None = None
+    curves: tuple[FrictionCurve, ...] = ()
+    tops: Mapping[str, float] = field(default_factory=dict)
     payload: Payload | None = None
     validation: tuple[Validation, ...] = ()
     friction_model: str | None = None
@@ -329,10 +379,12 @@ class Identification:
     def quantity(self, name: str, of: str, source: str = "") -> Quantity | None:
         """Return a number by its name and what has it; None where there is none.
 
-        It is the identified number, and with the source ``FILE`` that of the written model.
+        It is the identified number, and with the source ``FILE`` or ``CURVED`` that of a written
+        model.
         """
         for row in self.quantities:
-            if (row.name, row.of, row.source == FILE) == (name, of, source == FILE):
+            written = row.source if row.source in (FILE, CURVED) else ""
+            if (row.name, row.of, written) == (name, of, source):
                 return row
         return None
 

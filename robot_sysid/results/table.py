@@ -13,7 +13,7 @@ from robot_sysid.records.messages import aligned_lines, number_text, percent, wi
 from robot_sysid.records.parameters import DELAY, SCALE, TILTS, ZERO
 from robot_sysid.results.content import Content
 from robot_sysid.results.quantities import BEYOND, BODY, CENTRAL
-from robot_sysid.results.record import BOUND, DATA, FILE, MODEL, PAYLOAD
+from robot_sysid.results.record import BOUND, CURVED, DATA, FILE, MODEL, PAYLOAD
 
 # Name of a quantity to its label in a table.
 _LABELS = {
@@ -35,6 +35,8 @@ _LEGEND = {
     "at its bound": "the torques ask for a value that cannot be, such as friction below zero, and "
     "the nearest one that can is taken",
 }
+CURVE_PARTS = ("coulomb", "viscous", "bend")
+"""Numbers that together make the friction of a joint that bends with speed."""
 KNOWN = 0.2
 """Relative standard error up to which a mass is known."""
 
@@ -48,7 +50,9 @@ def label(row: Content) -> str:
 def rows_of(content: Content, of: str) -> list[Content]:
     """Return the identified rows of a body or joint."""
     rows = content["quantities"]
-    return [row for row in rows if row["of"] == of and row["source"] != FILE]
+    return [
+        row for row in rows if row["of"] == of and row["source"] not in (FILE, CURVED)
+    ]
 
 
 def body_rows(content: Content, of: str) -> list[Content]:
@@ -67,8 +71,33 @@ def body_rows(content: Content, of: str) -> list[Content]:
 
 
 def friction_rows(content: Content, owner: str) -> list[Content]:
-    """Return the identified friction and rotor inertia of a joint, or of a motor of several."""
-    return [row for row in rows_of(content, owner) if row["name"] in TERMS]
+    """Return the identified friction and rotor inertia of a joint, or of a motor of several.
+
+    Where it bends with speed, dry and viscous friction and the bend say little apart: the whole
+    friction at three speeds takes their place.
+    """
+    rows = [row for row in rows_of(content, owner) if row["name"] in TERMS]
+    curves = [curve for curve in content["curves"] if curve["of"] == owner]
+    if not curves:
+        return rows
+    others = [row for row in rows if row["name"] not in CURVE_PARTS]
+    return [*curve_rows(curves[0]), *others]
+
+
+def curve_rows(curve: Content) -> Iterator[Content]:
+    """Yield the friction of a joint at each of its speeds, as rows."""
+    columns = ("speeds", "model", "torque", "errors")
+    for speed, model, torque, error in zip(*(curve[name] for name in columns)):
+        yield {
+            "name": f"friction at {speed:.2g} {curve['speed_unit']}",
+            "of": curve["of"],
+            "unit": curve["unit"],
+            "model": model,
+            "value": torque,
+            "error": error,
+            "source": DATA,
+            "reason": "",
+        }
 
 
 def is_shown(row: Content) -> bool:
@@ -189,9 +218,13 @@ def beyond_line(content: Content) -> str:
 def largest_changes(content: Content) -> Iterator[str]:
     """Yield a line on the masses, friction and rotors that changed most beside their errors."""
     changes = []
+    bent = {curve["of"] for curve in content["curves"]}
     for row in content["quantities"]:
+        # Parts of friction that bends say little apart.
+        is_part = row["of"] in bent and row["name"] in CURVE_PARTS
         names = ("mass", *TERMS)
         is_wanted = row["name"] in names and row["source"] == DATA and row["error"]
+        is_wanted = is_wanted and not is_part
         if is_wanted and row["model"] is not None:
             size = abs(row["value"] - row["model"]) / row["error"]
             if size >= INTERVAL:

@@ -139,6 +139,8 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
         if owner in ("dof", "tendon") and row is not None:
             for name, value in element.numbers.items():
                 getattr(expected, f"{owner}_{name}")[row] = value
+            if element.further is not None:
+                getattr(expected, f"{owner}_dampingpoly")[row] = element.further
     if change.gravity is not None:
         expected.opt.gravity = change.gravity
     return expected
@@ -302,8 +304,11 @@ def require_reproduction(
     predicted += BeyondRigidBodies(expected).torque(*samples)
     for tendon in new_tendons:
         ratios = np.array([tendon.coefficients.get(n, 0.0) for n in robot.joint_names])
+        speed = motion.qd @ ratios
         force = tendon.numbers.get("armature", 0.0) * (motion.qdd @ ratios)
-        force += tendon.numbers.get("damping", 0.0) * (motion.qd @ ratios)
+        force += tendon.numbers.get("damping", 0.0) * speed
+        quadratic, cubic = tendon.further or (0.0, 0.0)
+        force += quadratic * speed * np.abs(speed) + cubic * speed**3
         predicted += np.outer(force, ratios)
     del expected  # its meshes take memory that the written model's dynamics needs
     actual = ArmDynamics(robot, written).torque(*samples)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid import __version__
-from robot_sysid.dynamics.friction import TERMS
+from robot_sysid.dynamics.friction import BEND, POLYNOMIAL, TERMS, VISCOUS, polynomial
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
@@ -42,8 +42,17 @@ from robot_sysid.results import verification
 from robot_sysid.results.record import FILE, Identification, ModelTarget, Payload
 
 
+def can_bend() -> bool:
+    """Return whether the installed MuJoCo has friction that bends with speed: from 3.7 on."""
+    return hasattr(mujoco.MjModel, "dof_dampingpoly")
+
+
 def write_model(
-    result: Identification, target: ModelTarget, as_body: str | None, file_kind: str
+    result: Identification,
+    target: ModelTarget,
+    as_body: str | None,
+    file_kind: str,
+    source: str = FILE,
 ) -> tuple[str, ...]:
     """Write a model with the identified numbers, and with the payload if there is one.
 
@@ -54,6 +63,7 @@ def write_model(
         target: where to write; ``target.path`` is the path of the file.
         as_body: name of a new body for the payload; None merges it into the terminal link.
         file_kind: format of the file, "mjcf" or "urdf".
+        source: of the numbers of its joints, ``FILE`` or ``CURVED``.
 
     Returns:
         Notes for the user, one sentence each.
@@ -68,14 +78,15 @@ def write_model(
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
     robot, target = _arm_of_kind(robot, file_kind, target)
     elements = []
-    for name in robot.joint_names:
-        numbers = _numbers_of(result, name)
+    for index, name in enumerate(robot.joint_names):
+        stated = [float(term.stated(robot)[index]) for term in POLYNOMIAL]
+        numbers, further = _numbers_of(result, name, source, stated)
         # MuJoCo does not read a URDF's transmissions, in which others find rotors.
         if robot.kind == "urdf" and "armature" in numbers:
             rotor = {"armature": numbers.pop("armature")}
             elements.append(ElementChange("rotor", name, rotor))
         if numbers:
-            elements.append(ElementChange("joint", name, numbers))
+            elements.append(ElementChange("joint", name, numbers, further=further))
     new_bodies: tuple[BodyChange, ...] = ()
     comment = ""
     # Parameters of a payload in a body of its own, which only the torque check adds to the terminal
@@ -106,7 +117,7 @@ def write_model(
                     BodyChange(body_label(model, body), body, body_theta(model, body)),
                 )
     if robot.kind == "mjcf":
-        elements += _tendon_changes(robot, result)
+        elements += _tendon_changes(robot, result, source)
     bodies += new_bodies
     gravity = file.gravity if file else robot.gravity
     change = ModelChange(bodies, result.quality.rmse, tuple(elements), gravity)
@@ -171,21 +182,53 @@ def write_joints(
     _write(robot, ModelChange((), 0.0, elements, robot.gravity), target, robot.thetas)
 
 
-def _numbers_of(result: Identification, owner: str) -> dict[str, float]:
-    """Return the written numbers of a joint or motor by their names in MJCF."""
-    rows = [row for row in result.quantities if (row.of, row.source) == (owner, FILE)]
-    return dict(sorted((TERMS[row.name].attribute, row.value) for row in rows))
+def _numbers_of(
+    result: Identification, owner: str, source: str, stated: Sequence[float]
+) -> tuple[dict[str, float], tuple[float, float] | None]:
+    """Return the written numbers of a joint or motor by their names in MJCF, and further damping.
+
+    A bend of friction is a part of all three numbers of damping (``friction.polynomial``).
+
+    Args:
+        result: of the identification.
+        owner: the joint or motor.
+        source: of the rows, ``FILE`` or ``CURVED``.
+        stated: the model's damping per speed squared and cubed, which stays beside a bend unless
+            rows say otherwise.
+    """
+    rows = result.quantities
+    own = {
+        row.name: row.value for row in rows if (row.of, row.source) == (owner, source)
+    }
+    numbers = {
+        TERMS[name].attribute: value
+        for name, value in sorted(own.items())
+        if TERMS[name].attribute and TERMS[name] not in POLYNOMIAL
+    }
+    kept = [own.get(term.name, of_file) for term, of_file in zip(POLYNOMIAL, stated)]
+    if BEND.name not in own and kept == list(stated):
+        return numbers, None
+    bend = own.get(BEND.name, 0.0)
+    linear, *further = polynomial(own[VISCOUS.name], bend, result.tops[owner])
+    numbers[VISCOUS.attribute] = linear
+    quadratic, cubic = np.add(kept, further).tolist()
+    return numbers, (quadratic, cubic)
 
 
 def _tendon_changes(
-    robot: RobotModel, result: Identification
+    robot: RobotModel, result: Identification, source: str
 ) -> Iterator[ElementChange]:
     """Yield the motors that turn several joints as fixed tendons of the model, or new ones."""
     for motor in result.file.motors if result.file else ():
         ratios = zip(robot.joint_names, motor.ratios.tolist())
         coefficients = {joint: ratio for joint, ratio in ratios if ratio != 0.0}
-        numbers = _numbers_of(result, motor.name)
-        yield ElementChange("tendon", motor.tendon, numbers, coefficients)
+        tendons = [] if motor.tendon is None else [motor.tendon]
+        stated = [
+            float(np.sum(term.stated_in(robot.mj_model, "tendon")[tendons]))
+            for term in POLYNOMIAL
+        ]
+        numbers, further = _numbers_of(result, motor.name, source, stated)
+        yield ElementChange("tendon", motor.tendon, numbers, coefficients, further)
 
 
 def _body_changes(

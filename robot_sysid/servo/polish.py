@@ -24,11 +24,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.friction import ROTOR
+from robot_sysid.dynamics.friction import OFFSET, ROTOR
 from robot_sysid.estimate.fit import Fit, equations_of
-from robot_sysid.estimate.held_out import is_clearly_lower, validation
+from robot_sysid.estimate.held_out import is_clearly_lower
 from robot_sysid.estimate.options import FILE_ROTORS
-from robot_sysid.estimate.restricted_fit import errors_on, gravity_in
+from robot_sysid.estimate.restricted_fit import errors_of, errors_on, gravity_in
 from robot_sysid.estimate.result import quantity
 from robot_sysid.estimate.rows import block_numbers
 from robot_sysid.estimate.trust import judge_file
@@ -129,7 +129,8 @@ class OpenLoop:
                 kind, row = owners.get(each.of, ("", 0))
                 # Tendons have no rotors in older releases.
                 numbers = getattr(model, f"{kind}_{each.attribute}", None)
-                if numbers is not None:
+                # Damping that bends is the compiled file's own.
+                if numbers is not None and each.entry is None:
                     numbers[row] = max(file.by_name[each.key], 0.0)
         for link, theta in zip(robot.links, file.thetas):
             if np.any(theta != link.theta):
@@ -139,7 +140,7 @@ class OpenLoop:
         if gravity is not None:
             model.opt.gravity = gravity
         self.rollouts.set_constants()
-        offset = file.full[file.sums.at(file.arm.terms["offset"].names)]
+        offset = file.full[file.sums.at(file.arm.terms[OFFSET.name].names)]
         played = self.rollouts.under_torques(self.starts, self.tau - offset)
         return np.nan_to_num(played[:, self.steps] - self.measured, nan=np.pi)
 
@@ -253,28 +254,41 @@ def polish(
     polished = steps.steps_from(start, blocks >= 0)
 
     rotors = start.values[len(file.values) :]
+    is_offset = np.isin(start.names, file.arm.terms[OFFSET.name].names)
     torques = []
+    torques_as_used = []
     squares = []
     for block, alone in enumerate(file.alone):
         begin = replace(polished, values=np.append(alone, rotors))
         is_held_out = blocks == block
         end = steps.steps_from(begin, ~is_held_out)
         torques.append(end.equations.squared_residuals(end.values, [block]))
+        without = np.where(is_offset, 0.0, end.values)
+        torques_as_used.append(end.equations.squared_residuals(without, [block]))
         last = [problem.errors(fit)[is_held_out, -1] for fit in (begin, end)]
         if np.any(is_held_out):
             squares.append(np.sum(np.square(last), axis=1))
     before, after = np.swapaxes(squares, 0, 1)
     # What else follows from blocks of torque is that of the file's fit.
     of_file = {"_apart": file._apart, "covariance": covariance}
-    polished.__dict__.update(of_file, held_out=np.array(torques))
+    of_torques = {
+        "held_out": np.array(torques),
+        "held_out_as_used": np.array(torques_as_used),
+    }
+    polished.__dict__.update(of_file, **of_torques)
 
     fits = file, polished
-    pairs = [ModelErrors(*map(validation, fits))]
+    errors = [errors_of(fit) for fit in fits]
     for log in tests:
-        pairs.append(ModelErrors(*(errors_on(fit, *log).after for fit in fits)))
+        errors += [errors_on(fit, *log) for fit in fits]
+    pairs = [
+        ModelErrors(old.after, new.after, old.after_as_used, new.after_as_used)
+        for old, new in zip(errors[::2], errors[1::2])
+    ]
     count = before.shape[1] * len(blocks)
     sizes = [1e3 * np.sqrt(np.sum(each) / count) for each in (before, after)]
-    shares = [percent(each.relative_error or 0.0) for each in vars(pairs[0]).values()]
+    torque_errors = pairs[0].before, pairs[0].after
+    shares = [percent(each.relative_error or 0.0) for each in torque_errors]
     sentence = (
         f"at the end of held-out windows of {WINDOW:g} s, which are played with the measured "
         f"torque, the position error is {sizes[1]:.3g} in place of {sizes[0]:.3g} "

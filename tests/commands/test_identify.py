@@ -118,7 +118,7 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     assert out.count("Before -> after") == 1
     for title in ("link0 mass", "link2 mass", "joint0 Coulomb friction"):
         assert out.count(f"  {title} ") == 1
-    assert "\nUsable: torque error on held-out data, " in out
+    assert "\nUsable: torque error on held-out data " in out
     assert "Use this file: sysid_output/updated_model.xml\n" in out
 
 

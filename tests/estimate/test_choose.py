@@ -127,7 +127,7 @@ def test_priors_are_of_the_stated_size():
     assert_allclose(spread(terms["tilt_1"]), np.radians(0.5))
     assert_allclose(spread(terms["delay"]), 4e-3)
     # Of dry friction of 1 N m, a tenth of the torque: the usual shapes of friction.
-    assert_allclose(spread(terms["sqrt[joint0]"]), 0.15)
+    assert_allclose(spread(terms["bend[joint0]"]), 0.6)
     assert_allclose(spread(terms["fading[joint0]"]), 0.45)
     assert_allclose(spread(terms["load[joint0]"]), 0.075)
     # By itself and with all other links: the root of twice the square.

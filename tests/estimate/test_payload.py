@@ -12,7 +12,7 @@ from robot_sysid import spatial
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.payload import contradiction, payload_result, written_payload
-from robot_sysid.estimate.restricted_fit import error_before, fit_file
+from robot_sysid.estimate.restricted_fit import errors_of, fit_file
 from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.records import Flange
 from robot_sysid.results.record import Verdict
@@ -102,7 +102,7 @@ def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(
     options = EstimationOptions(keep=("rotors",))
     question = replace(payload_fit.question, options=options)
     _, kept = result_of(replace(payload_fit, question=question))
-    assert error_before(file) == error_before(kept)
+    assert errors_of(file).before == errors_of(kept).before
     assert validation(file).relative_error < validation(kept).relative_error
 
 

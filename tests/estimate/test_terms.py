@@ -108,7 +108,8 @@ def torque_of(arm, motion, values, gravity, loaded):
         torque[:, row] += value_of[f"offset_drift[{joint}]"] * PLACE
         for term in set(arm.friction) & set(TERMS):
             qd = motion.qd[:, j]
-            column = TERMS[term].torque(np.sign(qd), qd, motion.qdd[:, j], rigid[:, j])
+            state = (np.sign(qd), qd, motion.qdd[:, j], rigid[:, j])
+            column = TERMS[term].of_state(*state, arm.tops[j])
             has_drift = term not in ("offset", "armature")
             drift = 1.0 + value_of[f"drift[{joint}]"] * PLACE * has_drift
             torque[:, row] += drift * value_of[f"{term}[{joint}]"] * column
@@ -116,7 +117,11 @@ def torque_of(arm, motion, values, gravity, loaded):
         speed = motion.qd @ motor.ratios
         sizes = [value_of[parameter.key] for parameter in motor.parameters]
         rates = (np.sign(speed), speed, motion.qdd @ motor.ratios)
-        torque += np.outer(np.dot(sizes, rates), motor.ratios[arm.indices])
+        forces = np.dot(sizes, rates)
+        for term in set(arm.friction) & {"bend", "quadratic", "cubic"}:
+            column = TERMS[term].of_state(*rates, 0.0, motor.top)
+            forces += value_of[f"{term}[{motor.name}]"] * column
+        torque += np.outer(forces, motor.ratios[arm.indices])
     return torque
 
 

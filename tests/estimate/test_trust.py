@@ -144,7 +144,19 @@ def test_each_implausible_estimate_is_refused_with_its_reason(
     ],
 )
 def test_a_file_is_compared_with_the_model_before(model, file, verdict):
-    assert trust.judge_file(ModelErrors(model, file)).about == verdict.name
+    errors = ModelErrors(model, file, model, file)
+    assert trust.judge_file(errors).about == verdict.name
+
+
+def test_a_file_that_is_worse_as_it_is_used_is_refused_whatever_its_offsets_explain():
+    """Weight that the fit took for an offset is missing in the file."""
+    aside = prediction(0.24), prediction(0.09)
+    used = prediction(0.28), prediction(0.37)
+    remark = trust.judge_file(ModelErrors(*aside, *used))
+    assert remark.about == Verdict.NO_BETTER.name
+    assert "28 % -> 37 %" in remark.text
+    better = trust.judge_file(ModelErrors(*aside, *used[::-1]))
+    assert better.about == Verdict.BETTER.name
 
 
 def judge_fit(fitted, *tests):

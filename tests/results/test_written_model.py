@@ -330,7 +330,7 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path, ratio):
     )
     text = urdf.robot(urdf.serial(links), stated if ratio > 1.0 else "")
     robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}))
-    motor = coupling(robot, np.array([1.0, 1.0]))
+    motor = coupling(robot, np.eye(robot.n_joints)[:2].sum(axis=0))
     joints = {
         motor.name: {"frictionloss": 0.5},
         "l1_l2": {"armature": 0.1, "frictionloss": 0.2},
