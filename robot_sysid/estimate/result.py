@@ -439,16 +439,16 @@ def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
         of_speeds = known_to * np.array(CURVE_SHARES)
         columns = friction_columns(arm, owner, of_speeds, loads.get(owner, 0.0))
         sizes = np.array([*columns.values()])
-        model, written = (
+        model, of_fit, written = (
             np.array([values.get(key, 0.0) for key in columns]) @ sizes
-            for values in (arm.model, file.by_name)
+            for values in (arm.model, fitted.by_name, file.by_name)
         )
         slopes = np.zeros((len(of_speeds), len(fitted.names)))
         for key, column in columns.items():
             if key in fitted.names:
                 slopes[:, fitted.at([key])[0]] = column
         variances = np.einsum("ij,jk,ik->i", slopes, fitted.covariance, slopes)
-        apart = written - slopes @ fitted.values
+        apart = written - of_fit
         is_slide = owner in robot.slides
         yield FrictionCurve(
             of=owner,

@@ -4,8 +4,9 @@ A load of the second side, and each drift of friction, a zero, a torque scale or
 from one side to the other, is fitted alone, beside what such drifts usually are from day to day.
 The likeliest of them stays if it is beyond its error, and the others are fitted again beside it.
 
-Of k things that are compared, one is named where errors and usual drifts alone would make it as
-large in a share ``FALSE_ALARMS`` / k of all pairs of logs (Bonferroni).
+The ± of a number is that of errors and usual drifts together, and the number is named from a
+multiple of this ± on: that which they alone reach in a share ``FALSE_ALARMS`` / k of all pairs of
+logs, of k numbers that are compared (Bonferroni).
 
 A model takes the place of the earlier side the same way: the last link, zeros, torque scales and
 offsets, the tilt of the base and the delay are off as they usually are or, one after the other, by
@@ -14,15 +15,17 @@ more. Friction is no candidate: no model has it right.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain, compress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.errors import SysidError
+from robot_sysid.estimate.choose import answer_of, solved
 from robot_sysid.estimate.fit import Fit, LeftOut
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question, arm_question
@@ -62,6 +65,12 @@ DIFFERS = "differs"
 """Reason of a row in which the sides differ, beyond errors and what is usual from day to day."""
 UNKNOWN = "not shown"
 """Reason of a row of which the logs tell too little."""
+WITH_ALL = "with all joints"
+"""Reason of a joint's friction that is beyond its errors where that of all joints alike differs."""
+NOT_JUDGED = "differs, not judged"
+"""Reason of a row of friction that the model says clearly another, as models do."""
+OTHER_FRICTION = 0.5
+"""Difference from the model's friction from which on it is said, as a share of that."""
 FRICTION_ROW = "friction in motion"
 """Name of a row of the friction of a joint at its root mean square speed."""
 _DRIFTS = (DRIFT, ZERO_DRIFT, SCALE_DRIFT, OFFSET_DRIFT)
@@ -78,19 +87,36 @@ _WHOLE = 2.0
 _LOADED = 0.1
 # Parameters of a body that are compared: mass and first moments.
 _OF_BODY = 4
+# Most that a friction is taken to have drifted from the middle to an end, of that in the middle.
+_LARGEST_FRICTION_DRIFT = 0.999
+# The base's tilt about each axis, which is a number of its own.
+_TILTS = tuple(
+    Parameter("tilt", of=f"the base about {axis}", units=("rad",)) for axis in "xy"
+)
 
 
 @dataclass(frozen=True)
 class Change(Quantity):
     """A number of the second side less that of the first, of friction in per cent of the first.
 
-    Its reason is ``DIFFERS`` where the sides do, ``UNKNOWN`` where the logs show too little.
+    Its ``error`` is that of errors and of what is usual together. Its reason is ``DIFFERS`` where
+    the sides do, ``UNKNOWN`` where the logs show too little.
 
     Attributes:
-        least: the size from which on it would be named.
+        least: the size from which on it would be named, a multiple of ``error``.
     """
 
     least: float = 0.0
+
+    @property
+    def least_either_way(self) -> float:
+        """The size from which on it would be named whichever way it had gone.
+
+        A friction that falls to a half has changed as much as one that doubles.
+        """
+        if self.name == "friction" and self.value < 0.0:
+            return self.least / (1.0 - 0.01 * self.least)
+        return self.least
 
 
 def change_question(arm: ArmTerms, options: EstimationOptions) -> Question:
@@ -105,18 +131,33 @@ class Candidate:
 
     Attributes:
         names: its parameters in the fit.
-        parameter: what it is, and of what.
-        compared: how many of its parameters are compared with zero; 0 for the mean of all.
+        numbers: what is compared with zero: its first parameters, or the mean of all.
+        whole: the whole difference over a parameter.
+        is_mean: whether it is the mean of all its parameters.
     """
 
     names: tuple[str, ...]
-    parameter: Parameter
-    compared: int = 1
+    numbers: tuple[Parameter, ...]
+    whole: float = 1.0
+    is_mean: bool = False
 
     @property
     def is_body(self) -> bool:
         """Whether it is a body, with ten parameters."""
-        return self.compared == _OF_BODY
+        return len(self.numbers) == _OF_BODY
+
+    @property
+    def words(self) -> str:
+        """What it is, and of what."""
+        name = "load" if self.is_body else _name(self.numbers[0])
+        return f"{name} of {self.numbers[0].of}"
+
+
+def _body(arm: ArmTerms, names: tuple[str, ...]) -> Candidate:
+    """Return the candidate of the last link, or of what hangs there."""
+    of = arm.robot.body_name
+    numbers = (replace(each, of=of) for each in parameters.INERTIAL[:_OF_BODY])
+    return Candidate(names, tuple(numbers))
 
 
 def model_question(options: EstimationOptions) -> Question:
@@ -133,18 +174,34 @@ def changes(fitted: Fit) -> list[Change]:
     Raises:
         SysidError: more would have changed than changes of one arm explain.
     """
-    terms = fitted.arm.terms
-    load = Parameter("load", of=fitted.arm.robot.body_name)
+    arm = fitted.arm
+    terms = arm.terms
     friction = parameters.DRIFT.at(ALL_JOINTS)
     candidates = [
-        Candidate(PAYLOAD_NAMES, load, _OF_BODY),
-        Candidate(terms[DRIFT].names, friction, 0),
+        _body(arm, PAYLOAD_NAMES),
+        Candidate(terms[DRIFT].names, (friction,), _WHOLE, is_mean=True),
     ]
     for parameter in chain(*(terms[cause].parameters for cause in _DRIFTS)):
-        candidates.append(Candidate((parameter.key,), parameter))
+        candidates.append(Candidate((parameter.key,), (parameter,), _WHOLE))
     # What gears lose of a load, no model has exactly: it looks like a sensor's error.
     like_load = terms[SCALE_DRIFT].names + terms[OFFSET_DRIFT].names
-    return _Comparison(fitted, candidates, _DRIFTS, like_load, _WHOLE).rows()
+    return _Comparison(fitted, candidates, _DRIFTS, like_load, weigh).rows()
+
+
+def weigh(fitted: Fit, is_on: bool) -> tuple[Array, Array]:
+    """Return the load (10,) that came on or off as ``payload`` finds it, and its errors (10,).
+
+    There, the heavier side carries a possible body, and neither friction nor sensors drift. What
+    gears lose of a load looks like such a drift, which hides a share of it from other fits.
+    """
+    recordings = [
+        replace(recording, is_loaded=recording.is_loaded == is_on)
+        for recording in fitted.recordings
+    ]
+    question = Question(fitted.question.options, loaded=True)
+    weighed = answer_of(solved(fitted.arm.robot, recordings, question))
+    at = weighed.at(PAYLOAD_NAMES)
+    return (1.0 if is_on else -1.0) * weighed.values[at], weighed.errors[at]
 
 
 @dataclass(frozen=True)
@@ -172,61 +229,60 @@ def differences(fitted: Fit) -> Differences:
         SysidError: more would differ than differences of one arm explain.
     """
     arm = fitted.arm
-    body = Parameter("load", of=arm.robot.body_name)
     # A factor on all torques or masses is looked for by the checks of logs.
-    candidates = [Candidate(PARAMETER_NAMES, body, _OF_BODY)]
+    candidates = [_body(arm, PARAMETER_NAMES)]
     torques = fitted.sums.rms_torque
     loaded = {*compress(arm.joints, torques > _LOADED * np.max(torques))}
     for cause in (SCALES, ZEROS, OFFSET.name, DELAY):
         for parameter in arm.terms[cause].parameters:
             # What a joint reads that carries next to nothing is friction, of any size.
             if cause != SCALES or parameter.of in loaded:
-                candidates.append(Candidate((parameter.key,), parameter))
+                candidates.append(Candidate((parameter.key,), (parameter,)))
     if TILT in arm.terms:
-        names = arm.terms[TILT].names
-        candidates.append(Candidate(names, Parameter("tilt", units=("rad",)), 2))
+        candidates.append(Candidate(arm.terms[TILT].names, _TILTS))
     causes = SCALES, ZEROS, OFFSET.name, DELAY, TILT, LAST_LINK
-    comparison = _Comparison(fitted, candidates, causes, (), 1.0)
-    rows = (*comparison.rows(), *_weights(comparison.right, fitted), *_friction(fitted))
-    is_certain = any(
-        row.reason == DIFFERS and _is_certain(row, comparison.right, candidates)
-        for row in rows
-    )
-    return Differences(rows, comparison.right, is_certain)
+    comparison = _Comparison(fitted, candidates, causes)
+    of_candidates = comparison.rows()
+    right = comparison.right
+    is_certain = any(_is_certain(own, right) for own in comparison.differing)
+    weights = [*_weights(right, fitted)]
+    for row, error in weights:
+        # What links as wrong as usual look like is in the row's bound.
+        is_alarming = abs(row.value) > ALARMING * error
+        is_certain = is_certain or (row.reason == DIFFERS and is_alarming)
+    rows = (*of_candidates, *(row for row, _ in weights), *_friction(fitted))
+    return Differences(rows, right, is_certain)
 
 
-def _is_certain(row: Change, fitted: Fit, candidates: Sequence[Candidate]) -> bool:
-    """Return whether a row that differs is more than what links as wrong as usual look like.
+def _is_certain(own: _Compared, fitted: Fit) -> bool:
+    """Return whether what differs is more than what links as wrong as usual look like.
 
     Args:
-        row: of a candidate, or of the weight of all links, whose bound has these links in it.
-        fitted: the fit in which it differs.
-        candidates: all that were compared.
+        own: the candidate, in the fit in which it differs.
+        fitted: that fit.
     """
+    candidate = own.candidate
     usual = 0.0
     share = 1.0
-    for each in candidates:
-        if not each.is_body and (_name(each.parameter), each.parameter.of) == (
-            row.name,
-            row.of,
-        ):
-            usual = _like_links(row, fitted)
-            share = _torque_share(fitted, each.names)
-    error = float(np.hypot(row.error or 0.0, usual))
-    return share > TELLING and abs(row.value) > ALARMING * error
+    if not candidate.is_body:
+        usual = _like_links(candidate.numbers[0], fitted)
+        share = _torque_share(fitted, candidate.names)
+    is_alarming = np.abs(own.values) > ALARMING * np.hypot(own.errors, usual)
+    return share > TELLING and bool(np.any(is_alarming & own.are_beyond))
 
 
-def _like_links(row: Change, fitted: Fit) -> float:
-    """Return what links as wrong as usual look like as a row's number, in its unit."""
-    if row.name == "offset":
-        torque = fitted.sums.rms_torque[fitted.arm.joints.index(row.of)]
+def _like_links(number: Parameter, fitted: Fit) -> float:
+    """Return what links as wrong as usual look like as a number."""
+    if number.name == "offset":
+        torque = fitted.sums.rms_torque[fitted.arm.joints.index(number.of)]
         return LINKS_AS_OFFSET * float(torque)
-    return {
+    size = {
         "scale": LINKS_AS_SCALE,
         "zero": LINKS_AS_ZERO,
         "tilt": LINKS_AS_TILT,
         "delay": DELAY_ERROR,
-    }[row.name]
+    }[number.name]
+    return size / _UNITS.get(number.unit, (number.unit, 1.0))[1]
 
 
 def _torque_share(fitted: Fit, names: Sequence[str]) -> float:
@@ -241,8 +297,10 @@ def _torque_share(fitted: Fit, names: Sequence[str]) -> float:
     return float(np.sqrt(squares / np.sum(sums.rms_torque**2)))
 
 
-def _weights(fitted: Fit, usual: Fit) -> Iterator[Change]:
+def _weights(fitted: Fit, usual: Fit) -> Iterator[tuple[Change, float]]:
     """Yield by how much the links' torque at each joint is larger than the model's.
+
+    Each row comes with its standard error, without what is usual [%].
 
     What is usual of it is what the priors of the links say, in the fit in which nothing differs.
 
@@ -280,19 +338,13 @@ def _weights(fitted: Fit, usual: Fit) -> Iterator[Change]:
         variance = sum(
             float(np.sum((slope[at] @ factor) ** 2)) for at, factor in priors
         )
-        least = SURE * float(np.sqrt(WEIGHT**2 + error**2 + variance / square**2))
+        spread = float(np.sqrt(WEIGHT**2 + error**2 + variance / square**2))
+        least = SURE * spread
         is_loaded = sums.rms_torque[sums.joints.index(joint)] > _LOADED * strongest
         is_beyond = is_loaded and abs(value) > least
-        yield Change(
-            "weight",
-            joint,
-            "%",
-            None,
-            100.0 * value,
-            100.0 * error,
-            reason=_reason(is_beyond, least < 1.0),
-            least=100.0 * least,
-        )
+        row = Change("weight", joint, "%", None, 100.0 * value, 100.0 * spread)
+        reason = _reason(is_beyond, is_loaded and least < 1.0)
+        yield replace(row, reason=reason, least=100.0 * least), 100.0 * error
 
 
 def _friction(fitted: Fit) -> Iterator[Change]:
@@ -310,16 +362,21 @@ def _friction(fitted: Fit) -> Iterator[Change]:
     for row, joint in enumerate(arm.joints):
         speed = np.array([rms_speeds[arm.indices[row]]])
         slopes = np.zeros(len(fitted.names))
-        stated = 0.0
+        stated = value = 0.0
         columns = friction_columns(arm, joint, speed, float(torques[row]))
         for key, column in columns.items():
             stated += float(column[0]) * arm.model.get(key, 0.0)
+            value += float(column[0]) * fitted.by_name[key]
             if key in fitted.names:
                 slopes[fitted.at([key])] = column[0]
-        value = float(slopes @ fitted.values)
         error = max(float(slopes @ fitted.covariance @ slopes), 0.0) ** 0.5
+        least = max(SURE * error, OTHER_FRICTION * stated)
+        reason = NOT_JUDGED if abs(value - stated) > least else ""
         unit = torque_unit(joint in arm.robot.slides)
-        yield Change(FRICTION_ROW, joint, unit, stated, value - stated, error)
+        differing = Change(
+            FRICTION_ROW, joint, unit, stated, value - stated, least / SURE
+        )
+        yield replace(differing, reason=reason, least=least)
 
 
 class _Comparison:
@@ -330,10 +387,11 @@ class _Comparison:
         candidates: what may differ.
         causes: of the terms whose priors say what is usual.
         like_body: names of what does not count where the body has changed.
-        whole: the whole difference over a parameter that is no body's.
+        weigh: returns the body that came on or off by another fit; None for none.
 
     Attributes:
         right: the fit in which what differs does so, after ``rows``.
+        differing: what differs, in fits in which it may; after ``rows``.
     """
 
     def __init__(
@@ -341,14 +399,21 @@ class _Comparison:
         fitted: Fit,
         candidates: Sequence[Candidate],
         causes: Sequence[str],
-        like_body: Sequence[str],
-        whole: float,
+        like_body: Sequence[str] = (),
+        weigh: Callable[[Fit, bool], tuple[Array, Array]] | None = None,
     ) -> None:
+        from scipy.special import ndtri
+
         self._fitted = fitted
         self._candidates = candidates
         self._like_body = like_body
-        self._whole = whole
+        self._weigh = weigh
+        self._weighed: dict[bool, tuple[Array, Array]] = {}
+        count = sum(len(each.numbers) for each in candidates)
+        # Times the ± from which on a number is named.
+        self._sure = float(ndtri(1.0 - 0.5 * FALSE_ALARMS / count))
         self.right = fitted
+        self.differing: list[_Compared] = []
         self._names = tuple(chain(*(candidate.names for candidate in candidates)))
         self._usual_terms = [
             term
@@ -358,39 +423,41 @@ class _Comparison:
 
     def rows(self) -> list[Change]:
         """Return a row for each number that is compared; SysidError where too much differs."""
-        from scipy.special import ndtri
-
-        level = FALSE_ALARMS / len(self._candidates)
-        sure = float(ndtri(1.0 - 0.5 * level))
         changed: list[Candidate] = []
         while True:
             compared = {
                 each: self._compared(each, changed) for each in self._candidates
             }
             # What was likeliest alone may be nothing beside what came after it.
-            needless = [n for n in changed if compared[n].chance(True)[0] > level]
+            needless = [each for each in changed if not compared[each].is_beyond]
             if needless:
                 changed.remove(needless[0])
                 continue
             known = {*chain(*(each.names for each in changed))}
-            if any(each.is_body for each in changed):
-                known.update(self._like_body)
-            others = [each for each in compared if not known.issuperset(each.names)]
-            # Errors by the jackknife are too uncertain to choose by.
-            chances = [compared[each].chance(False) for each in others]
-            likeliest = others[chances.index(min(chances))]
-            if compared[likeliest].chance(True)[0] > level:
+            is_body = any(each.is_body for each in changed)
+            known.update(self._like_body if is_body else ())
+            others = [
+                own
+                for each, own in compared.items()
+                if own.is_beyond and not known.issuperset(each.names)
+            ]
+            if not others:
                 break
-            changed.append(likeliest)
+            # Errors by the jackknife are too uncertain to choose by.
+            changed.append(min(others, key=lambda own: own.chance).candidate)
             if len(changed) > _MOST:
                 raise SysidError(_too_much(changed))
         self.right = self._fit_with(changed)
+        self.differing = [compared[each] for each in changed]
         rows: list[Change] = []
         for each, own in compared.items():
-            if each.is_body:
-                rows += _load(own, each.parameter, each in changed, sure)
-            else:
-                rows.append(_single(own, each, each in changed, sure, self._whole))
+            beyond = ""
+            if each in changed:
+                beyond = DIFFERS
+            elif known.issuperset(each.names):
+                is_like_body = is_body and {*each.names} <= {*self._like_body}
+                beyond = UNKNOWN if is_like_body else WITH_ALL
+            rows += _rows(own, beyond)
         return rows
 
     def _fit_with(self, changed: Sequence[Candidate]) -> Fit:
@@ -415,14 +482,20 @@ class _Comparison:
             if term.prior is not None and set(candidate.names) <= {*term.names}:
                 at = [term.names.index(name) for name in candidate.names]
                 usual = (term.prior.factor @ term.prior.factor.T)[np.ix_(at, at)]
-        return _Compared(fitted, candidate, usual)
+        own = _Compared(fitted, candidate, usual, self._sure)
+        if self._weigh is None or not (candidate.is_body and own.is_beyond):
+            return own
+        is_on = bool(own.values[0] > 0.0)
+        if is_on not in self._weighed:
+            self._weighed[is_on] = self._weigh(self._fitted, is_on)
+        return own.beside(*self._weighed[is_on])
 
 
 def _too_much(changed: Sequence[Candidate]) -> str:
     """Return that more differs than one arm explains."""
-    parts = [f"{_name(each.parameter)} of {each.parameter.of}" for each in changed]
+    parts = ", ".join(each.words for each in changed)
     return (
-        f"more differs than a few changes of one arm explain ({', '.join(parts)}): check that both "
+        f"more differs than a few changes of one arm explain ({parts}): check that both "
         "logs are of this arm, with the same columns, units and zeros"
     )
 
@@ -434,117 +507,120 @@ class _Compared:
         fitted: the fit.
         candidate: what may have changed, with k parameters.
         usual: covariance (k, k) of what is usual.
+        sure: times its ± from which on a number is named.
 
     Attributes:
-        at: (k,) indices of its parameters among the estimated ones.
-        deviations: (k,) their values less the model's.
+        candidate: what may have changed, with m numbers.
+        sure: as the argument.
         values: (m,) what is compared with zero: of a load its mass and first moments, of several
             drifts their mean.
+        errors: (m,) their standard errors.
+        spreads: (m,) their standard deviations by errors and what is usual.
+        chance: the chance of values as large without a change, and minus their chi-square, which
+            orders chances that are too small for a number; the jackknife is left out.
     """
 
-    def __init__(self, fitted: Fit, candidate: Candidate, usual: Array) -> None:
-        self.fitted = fitted
-        self.at = fitted.at(candidate.names)
-        self._usual = usual
-        weights = 1.0 / np.diag(self._covariance(False))
-        self._combinations = weights[None] / np.sum(weights)
-        if candidate.compared:
-            self._combinations = np.eye(candidate.compared, len(candidate.names))
-        self.deviations = fitted.free[self.at]
-        if candidate.names == PARAMETER_NAMES:
-            self.deviations = self.deviations - fitted.arm.terms[LAST_LINK].reference
-        self.values = self._combinations @ self.deviations
-
-    def _covariance(self, jackknife: bool) -> Array:
-        """Return the covariance (k, k) of errors and usual differences."""
-        covariance = self.fitted.covariance if jackknife else self.fitted.inverse
-        return covariance[np.ix_(self.at, self.at)] + self._usual
-
-    def spread(self, jackknife: bool = True) -> Array:
-        """Return the covariance (m, m) of the values by errors and usual differences."""
-        return self._combinations @ self._covariance(jackknife) @ self._combinations.T
-
-    @cached_property
-    def usual_variances(self) -> Array:
-        """Usual variance (k,) of each parameter."""
-        return np.diag(self._usual)
-
-    @property
-    def error(self) -> float:
-        """Standard error of the first value."""
-        usual = self._combinations @ self._usual @ self._combinations.T
-        return float(np.sqrt(self.spread()[0, 0] - usual[0, 0]))
-
-    def chance(self, jackknife: bool) -> tuple[float, float]:
-        """Return the chance of values as large without a change, and minus their chi-square.
-
-        The latter orders chances that are too small for a number.
-        """
+    def __init__(
+        self, fitted: Fit, candidate: Candidate, usual: Array, sure: float
+    ) -> None:
         from scipy.special import chdtrc
 
-        inverse = np.linalg.pinv(self.spread(jackknife), hermitian=True)
+        self.candidate = candidate
+        self.sure = sure
+        at = fitted.at(candidate.names)
+        formal = fitted.inverse[np.ix_(at, at)] + usual
+        combinations = np.eye(len(candidate.numbers), len(at))
+        if candidate.is_mean:
+            weights = 1.0 / np.diag(formal)
+            combinations = weights[None] / np.sum(weights)
+        deviations = fitted.free[at]
+        if candidate.names == PARAMETER_NAMES:
+            deviations = deviations - fitted.arm.terms[LAST_LINK].reference
+        self.values = combinations @ deviations
+        own = fitted.covariance[np.ix_(at, at)]
+        squares = combinations @ own @ combinations.T
+        self.errors = np.sqrt(np.diag(squares))
+        squares = squares + combinations @ usual @ combinations.T
+        self.spreads = np.sqrt(np.diag(squares))
+        spread = combinations @ formal @ combinations.T
+        inverse = np.linalg.pinv(spread, hermitian=True)
         square = float(self.values @ inverse @ self.values)
-        return float(chdtrc(len(self.values), square)), -square
+        self.chance = float(chdtrc(len(self.values), square)), -square
+        share = fitted.share()[at]
+        # Whether the logs tell more of a number than is known without them.
+        self._are_shown = share[: len(self.values)] > _SHOWN
+        if candidate.is_body:
+            self._are_shown = np.isfinite(fitted.errors[at])[: len(self.values)]
+
+    def beside(self, values: Array, errors: Array) -> _Compared:
+        """Return the values (k,) and errors (k,) of another fit in place of these.
+
+        Errors contain half of what the two fits differ by.
+        """
+        other = copy(self)
+        count = len(self.values)
+        other.values = values[:count]
+        apart = 0.5 * (other.values - self.values)
+        other.errors = np.hypot(np.fmax(self.errors, errors[:count]), apart)
+        other.spreads = np.hypot(np.fmax(self.spreads, errors[:count]), apart)
+        return other
 
     @property
-    def is_shown(self) -> bool:
-        """Whether the logs tell more of the first value than is known without them."""
-        return bool(np.max(self.fitted.share()[self.at[:1]]) > _SHOWN)
+    def are_beyond(self) -> NDArray[np.bool_]:
+        """Which values (m,) are beyond errors and what is usual."""
+        return np.abs(self.values) > self.sure * self.spreads
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether one of them is."""
+        return bool(np.any(self.are_beyond))
+
+    def is_shown(self, number: int) -> bool:
+        """Return whether the logs show a number."""
+        return bool(self._are_shown[number])
 
 
-def _load(
-    own: _Compared, load: Parameter, is_changed: bool, sure: float
-) -> Iterator[Change]:
-    """Yield the changes of the last link's ten parameters."""
-    values = own.deviations
-    errors = own.fitted.errors[own.at]
-    spreads = np.sqrt(errors**2 + own.usual_variances)
-    distances = np.abs(values) / spreads
-    least = min(sure, np.max(distances[:_OF_BODY]))
-    numbers = zip(parameters.INERTIAL, values, errors, spreads, distances)
-    for entry, value, error, spread, distance in numbers:
-        reason = _reason(is_changed and distance >= least, np.isfinite(error))
-        yield Change(
-            entry.name,
-            load.of,
-            entry.unit,
-            None,
-            value,
-            error,
-            reason=reason,
-            least=sure * spread,
-        )
-
-
-def _single(
-    own: _Compared, candidate: Candidate, is_changed: bool, sure: float, whole: float
-) -> Change:
-    """Return the change of a joint's friction, zero, torque scale or offset, or of the base."""
-    parameter = candidate.parameter
-    value = float(own.values[0])
-    if len(own.values) > 1:
-        value = float(np.linalg.norm(own.values))
-    unit, factor = _UNITS.get(parameter.unit, (parameter.unit, 1.0))
-    least = sure * float(np.sqrt(own.spread()[0, 0]))
-    change = whole * factor * np.array([value, own.error, least])
-    name = _name(parameter)
-    if name == "friction":
-        # It is 1 - d on the first side and 1 + d on the second: the logarithm of their ratio.
-        ratio = np.exp(2.0 * np.arctanh(np.clip(value, -0.9, 0.9)))
-        change = 100.0 * np.array(
-            [ratio - 1.0, 2.0 * ratio * own.error, np.expm1(2.0 * least)]
-        )
-    return Change(
-        name,
-        parameter.of,
-        unit,
-        None,
-        float(change[0]),
-        float(change[1]),
+def _rows(own: _Compared, beyond: str) -> Iterator[Change]:
+    """Yield the rows of a candidate; ``beyond`` is the reason of numbers beyond their bounds."""
+    candidate = own.candidate
+    bounds = own.sure * own.spreads
+    for number, parameter in enumerate(candidate.numbers):
+        value, bound = float(own.values[number]), float(bounds[number])
+        unit, factor = _UNITS.get(parameter.unit, (parameter.unit, 1.0))
+        factor *= candidate.whole
+        name = _name(parameter)
+        change, least = factor * value, factor * bound
+        widest = least
+        if name == "friction":
+            change, least, widest = (
+                _friction_change(each)
+                for each in (value, float(np.copysign(bound, value)), bound)
+            )
         # A share that may be as large as all of it is none that is known.
-        reason=_reason(is_changed, own.is_shown and (unit != "%" or change[2] < 100.0)),
-        least=float(change[2]),
-    )
+        is_shown = own.is_shown(number) and (unit != "%" or widest < 100.0)
+        reason = (
+            beyond if own.are_beyond[number] and beyond else _reason(False, is_shown)
+        )
+        least = abs(least)
+        yield Change(
+            name,
+            parameter.of,
+            unit,
+            None,
+            change,
+            least / own.sure,
+            reason=reason,
+            least=least,
+        )
+
+
+def _friction_change(drift: float) -> float:
+    """Return the change of a friction that drifts by a share from the middle to each end [%].
+
+    It is 1 - d on the first side and 1 + d on the second.
+    """
+    most = _LARGEST_FRICTION_DRIFT
+    return 100.0 * float(np.expm1(2.0 * np.arctanh(np.clip(drift, -most, most))))
 
 
 def _name(parameter: Parameter) -> str:

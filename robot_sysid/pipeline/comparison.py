@@ -7,7 +7,7 @@ takes its place. Rows, verdict and remedies are the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -19,16 +19,17 @@ from robot_sysid.config import IdentifyConfig, with_scale_prior
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import judge, require_acceptable, usable
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.terms import PAYLOAD_NAMES, ArmTerms
+from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.changes import (
     ALL_JOINTS,
     DIFFERS,
     FRICTION_ROW,
+    NOT_JUDGED,
+    OTHER_FRICTION,
     UNKNOWN,
     Change,
     change_question,
@@ -39,7 +40,7 @@ from robot_sysid.pipeline.changes import (
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.file_access import RUN_NAME, read_toml
-from robot_sysid.records.levels import SURE, UNEXPLAINED
+from robot_sysid.records.levels import UNEXPLAINED
 from robot_sysid.records.messages import (
     Level,
     Progress,
@@ -51,8 +52,6 @@ from robot_sysid.records.messages import (
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
 
-OTHER_FRICTION = 0.5
-"""Difference from the model's friction from which on it is said, as a share of that."""
 # Checks that find that nothing explains a log.
 _MISFITS = ("model", "unexplained")
 # Checks whose findings are of the arm, whatever they are worth.
@@ -233,7 +232,7 @@ def compare_with_model(
     is_misfit = judged.fit.unexplained_share > UNEXPLAINED
     # A number that does not explain is no answer.
     rows = tuple(
-        replace(row, reason="") if row.reason == DIFFERS else row for row in rows
+        replace(row, reason=UNKNOWN) if row.reason == DIFFERS else row for row in rows
     )
     lines = [
         _misfit(judged.fit) if is_misfit and each.about in _MISFITS else each.text
@@ -287,10 +286,7 @@ def friction_sentences(rows: Sequence[Change]) -> tuple[str, ...]:
     """Return the friction of joints of which the model says clearly another: it is not judged."""
     parts = []
     for row in rows:
-        if row.name != FRICTION_ROW or not (row.error and row.model):
-            continue
-        is_clear = abs(row.value) > SURE * row.error
-        if is_clear and abs(row.value) > OTHER_FRICTION * row.model:
+        if row.name == FRICTION_ROW and row.reason == NOT_JUDGED and row.model:
             share = (
                 f"{1.0 - OTHER_FRICTION:g} of"
                 if row.value < 0.0
@@ -406,30 +402,7 @@ def compare_logs(
         accepted |= {*config.log.accept}
     judged = replace(judged, findings=tuple(_without_factors(judged.findings)))
     fitted, _ = usable(judged, accepted, progress)
-    rows = changes(fitted)
-    if rows[0].reason == DIFFERS:
-        rows[: len(PAYLOAD_NAMES)] = _weighed(rows, fitted)
-    return rows
-
-
-def _weighed(rows: Sequence[Change], fitted: Fit) -> Iterator[Change]:
-    """Yield the rows of a load that has changed, with the numbers that ``payload`` finds.
-
-    There, the heavier side carries a possible body. What gears lose of a load looks like a drift of
-    friction or sensors, too, and hides a share of it from the fit in which these may have changed:
-    errors contain half of what the two fits differ by.
-    """
-    sign = np.sign(rows[0].value)
-    recordings = [
-        replace(recording, is_loaded=recording.is_loaded == (sign > 0.0))
-        for recording in fitted.recordings
-    ]
-    question = Question(fitted.question.options, loaded=True)
-    weighed = solved(fitted.arm.robot, recordings, question)
-    at = weighed.at(PAYLOAD_NAMES)
-    for row, value, error in zip(rows, sign * weighed.values[at], weighed.errors[at]):
-        error = np.hypot(np.fmax(row.error or 0.0, error), 0.5 * (value - row.value))
-        yield replace(row, value=float(value), error=float(error))
+    return changes(fitted)
 
 
 def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
@@ -454,7 +427,8 @@ def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
         if row.reason == UNKNOWN:
             unknown.setdefault(_WORDS[row.name], []).append(row.of)
         else:
-            least.setdefault((_WORDS[row.name], row.unit), []).append(row.least)
+            sizes_of = least.setdefault((_WORDS[row.name], row.unit), [])
+            sizes_of.append(row.least_either_way)
     sizes = []
     for (words, unit), values in least.items():
         span = dict.fromkeys(f"{size:.2g}" for size in (min(values), max(values)))
@@ -495,7 +469,7 @@ def _sentence_of_model(row: Change) -> str:
     if row.name == "weight":
         return f"{row.of} carries {size} {way} than the model's links weigh"
     if row.name == "tilt":
-        return f"the base is tilted by {size} against the model's"
+        return f"the tilt of {row.of} is {size} {way} than the model's"
     if row.name == "delay":
         return f"the torque is {size} {'later' if is_more else 'earlier'} than the position"
     if row.name in _READINGS:

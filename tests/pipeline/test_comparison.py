@@ -5,7 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from rigs.arms import SEEDS
 from rigs.measured_logs import XML, log_of
 from rigs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 from robot_sysid import spatial
@@ -21,6 +24,7 @@ from robot_sysid.pipeline.changes import (
     ALL_JOINTS,
     DIFFERS,
     UNKNOWN,
+    WITH_ALL,
     change_question,
     changes,
 )
@@ -71,7 +75,7 @@ def row_of(rows, name, of):
 
 def test_a_body_that_came_on_is_found_and_the_order_changes_its_sign():
     rows = rows_of(0, body=BODY)
-    for row, true in zip(rows, BODY):
+    for row, true in zip(rows[:4], BODY):
         assert abs(row.value - true) < 3.0 * row.error
     assert rows[0].error < 0.05 and rows[0].least < 0.15
     assert named(rows) == {("m", "link3")}
@@ -137,6 +141,47 @@ def test_nothing_is_named_where_nothing_has_changed_and_what_no_torque_shows_is_
     # Torques are the same whichever way an arm on a vertical axis has turned.
     assert row_of(rows, "zero", "joint0").reason == UNKNOWN
     assert second == "not shown by these logs: zero of joint0"
+
+
+# What may have changed, by about as much as is named: a load, friction of all joints or of one,
+# a zero, a torque scale, a torque offset; sizes are drawn from zero to these.
+_LARGEST = {
+    "body": 0.5 * BODY,
+    "friction": -0.3 * np.ones(4),
+    "zeros": np.radians(2.0) * np.eye(4)[1],
+    "scales": 0.06 * np.eye(4)[2],
+    "offset": 1.5 * np.eye(4)[2],
+}
+
+
+@settings(max_examples=6)
+@given(SEEDS, st.sets(st.sampled_from(sorted(_LARGEST)), max_size=2))
+def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
+    seed, kinds
+):
+    """In a row as in all of a table, and what is beyond it is said."""
+    share = np.random.default_rng([seed, 7]).uniform(-1.0, 1.0)
+    sizes = {kind: share * _LARGEST[kind] for kind in kinds}
+    if "scales" in sizes:
+        sizes["scales"] = 1.0 + sizes["scales"]
+    try:
+        rows = rows_of(seed, **sizes)
+    except SysidError:
+        return
+    one = rows[0].least / rows[0].error
+    assert 3.0 < one < 4.0
+    has_load = ("m", "link3") in named(rows)
+    has_all = ("friction", ALL_JOINTS) in named(rows)
+    for row in rows:
+        assert row.least == pytest.approx(one * row.error, rel=1e-9)
+        is_beyond = abs(row.value) > row.least
+        assert is_beyond or row.reason not in (DIFFERS, WITH_ALL)
+        if is_beyond and row.reason != DIFFERS:
+            # Gears lose a part of a load, which looks like a sensor's error.
+            is_like_load = has_load and row.name in ("scale", "offset")
+            is_of_all = has_all and row.name == "friction"
+            assert row.reason == (UNKNOWN if is_like_load else WITH_ALL)
+            assert is_like_load or is_of_all
 
 
 @pytest.mark.parametrize(

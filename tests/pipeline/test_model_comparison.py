@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rigs import arms
 from rigs.wrong_arms import truth_of, wrong_links
 from robot_sysid.config import IdentifyConfig
-from robot_sysid.pipeline.changes import DIFFERS
+from robot_sysid.pipeline.changes import DIFFERS, FRICTION_ROW, NOT_JUDGED
 from robot_sysid.pipeline.comparison import compare_with_model
 from robot_sysid.records.messages import Progress
 
@@ -59,6 +61,36 @@ def test_a_difference_of_many_times_the_usual_one_is_named_with_its_value(
     (row,) = [row for row in check.changes if row.reason == DIFFERS]
     assert abs(row.value - value) < 3.0 * row.error < 0.5 * value
     assert row.least < value
+
+
+@settings(max_examples=6)
+@given(arms.SEEDS, st.floats(-10.0, 10.0), st.floats(-6.0, 6.0))
+def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
+    seed, turn, pull
+):
+    """Of 3 errors for what each joint carries and its friction, of one more for all others."""
+    joint = np.eye(4)[1]
+    check = check_of(
+        seed,
+        lambda log: replace(
+            log, q=log.q + np.radians(turn) * joint, tau=log.tau + pull * joint
+        ),
+    )
+    # Where the torques do not fit, the verdict names no number.
+    is_misfit = check.has_changed and not named(check)
+    for row in check.changes:
+        times = row.least / row.error
+        if row.name in ("weight", FRICTION_ROW):
+            assert times == pytest.approx(3.0)
+        else:
+            first = check.changes[0]
+            assert times == pytest.approx(first.least / first.error) and times > 3.0
+        reason = NOT_JUDGED if row.name == FRICTION_ROW else DIFFERS
+        if row.reason == reason:
+            assert abs(row.value) > row.least
+        elif abs(row.value) > row.least and not is_misfit:
+            # A wrist that carries next to nothing, whose row is not shown.
+            assert row.name == "weight" and row.reason == "not shown"
 
 
 def test_a_difference_that_links_may_look_like_is_said_as_perhaps():
