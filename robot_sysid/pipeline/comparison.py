@@ -224,6 +224,8 @@ def compare_with_model(
     if explains and (is_differing or not found):
         verdict = verdict_on(rows, of_model=True)
         if is_differing and not is_certain:
+            perhaps = verdict[0].replace("Differs", "Perhaps differs", 1)
+            verdict = (perhaps, *verdict[1:])
             notes = (
                 f"perhaps, but not certain: {'; '.join(sentences(rows, True))}",
                 *notes,

@@ -99,6 +99,7 @@ def test_a_difference_that_links_may_look_like_is_said_as_perhaps():
     assert named(check) == {("zero", "joint1")}
     assert not check.has_changed
     assert check.notes[0].startswith("perhaps, but not certain: the position of joint1")
+    assert check.verdict[0].startswith("Perhaps differs from the model: the position")
 
 
 def test_what_nothing_explains_is_said_of_each_joint_without_a_cause():
