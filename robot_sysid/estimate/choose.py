@@ -36,7 +36,7 @@ from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.process import FilteredRecording
+from robot_sysid.signals.process import TURN_TRAVELS, FilteredRecording, Mask
 
 # Shows nothing.
 _SILENT = Progress()
@@ -72,12 +72,19 @@ def solved(
         """Show that so many steps are done."""
         progress.advance("Solving the equations", step, n_steps, "")
 
-    def arm_of(motors: Sequence[Coupling]) -> ArmTerms:
-        """Return all terms of the arm with some motors."""
-        friction = options.friction
-        loaded = question.loaded
-        fastest = fastest_of(speeds, np.eye(robot.n_joints))
-        return ArmTerms(robot, options.torques, motors, friction, loaded, fastest)
+    def arm_of(
+        motors: Sequence[Coupling], offered: Sequence[Coupling] = ()
+    ) -> ArmTerms:
+        """Return all terms of the arm with some motors, and with columns of others."""
+        return ArmTerms(
+            robot,
+            options.torques,
+            motors,
+            options.friction,
+            question.loaded,
+            fastest_of(speeds, np.eye(robot.n_joints)),
+            offered,
+        )
 
     def answer(noise: Array | None = None, possible: bool = False) -> Fit:
         """Return the fit of the question as it is now."""
@@ -89,8 +96,7 @@ def solved(
 
     advance(0)
     question = replace(question, is_first=True)
-    arm = arm_of(stated)
-    arm = arm.beside(map(arm.motor, offered))
+    arm = arm_of(stated, offered)
     point = arm.start()
     sums = arm.sums(recordings, point)
     torque = sums.rms_torque
@@ -106,8 +112,6 @@ def solved(
         if step == 1:
             recordings = without_turns(current)
         current = answer(noise)
-        if step == 1:
-            arm = arm_of((*stated, *choose_motors(current, offered)))
         advance(step + 1)
         point = current.next_point()
         is_last = step + 2 == n_steps
@@ -117,6 +121,11 @@ def solved(
         del current, sums
         sums = arm.sums(recordings, point, is_last)
         current = answer(noise)
+        if step == 1 and offered:
+            # Dry friction that turns round reads as a motor in sums of the rows near turns.
+            chosen = choose_motors(current, offered)
+            arm = arm_of((*stated, *chosen))
+            current = answer(noise) if chosen else current
     evidence = link_evidence(current)
     if evidence is not None:
         question = replace(question, link_scales=average_scales(evidence))
@@ -160,27 +169,41 @@ def fastest_of(speeds: Array, ratios: Array) -> Array:
 
 
 def without_turns(fitted: Fit) -> list[FilteredRecording]:
-    """Return recordings without the rows in which a joint stands as it turns round.
+    """Return recordings without the rows in which dry friction has not turned round with a joint.
 
-    These are recordings and joints whose residuals are clearly larger at turns than elsewhere. A
-    joint that does not stand keeps them, as they tell most of friction.
+    A joint whose friction turns round at once keeps its rows, which tell most of friction.
     """
     recordings = []
     for recording, own in zip(fitted.recordings, fitted.split(fitted.residuals)):
         used = recording.used.copy()
+        zones = [recording.at_turns(travel) for travel in TURN_TRAVELS]
         for row, joint in enumerate(fitted.arm.indices.tolist()):
-            at_turns = recording.at_turns[:, joint]
-            sizes = []
-            for rows in (at_turns, ~at_turns):
-                squares = own[rows, row] ** 2
-                squares = squares[np.isfinite(squares)]
-                sizes.append(np.mean(squares) if len(squares) else 0.0)
-            # Sensors behind the gears of a KUKA LWR4+ show 0.3 to 1.0 times the residuals at turns,
-            # motor currents of a UR10e 1.4 to 3.7 times.
-            if sizes[0] > 1.4**2 * sizes[1] > 0.0:
-                used[:, joint] &= ~at_turns
+            near = [zone[:, joint] for zone in zones]
+            used[:, joint] &= ~contradicted(near, own[:, row])
         recordings.append(recording.only(used))
     return recordings
+
+
+def contradicted(zones: Sequence[Mask], residuals: Array) -> Mask:
+    """Return the last of zones (K,), one around the other, in which residuals (K,) are large.
+
+    From the narrowest one on, each has clearly larger ones in what it adds than beyond it.
+    """
+    last = np.zeros(len(residuals), dtype=bool)
+    for zone in zones:
+        added = mean_square(residuals[zone & ~last])
+        # Sensors behind the gears of a KUKA LWR4+ most often show 0.6 to 1.3 times the residuals at
+        # turns, motor currents of a UR10e 1.6 to 3.5 times.
+        if not added > 1.4**2 * mean_square(residuals[~zone]) > 0.0:
+            break
+        last = zone
+    return last
+
+
+def mean_square(residuals: Array) -> float:
+    """Return the mean square of the residuals (m,) of rows that are used; zero of none."""
+    squares = residuals[np.isfinite(residuals)] ** 2
+    return float(np.mean(squares)) if len(squares) else 0.0
 
 
 def dry_friction(fitted: Fit) -> tuple[float, ...]:

@@ -114,7 +114,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     for name in question.friction:
         # The square-root term bends the curve of friction: only their sum has to oppose the motion.
         is_bent = name == "viscous" and "sqrt" in question.friction
-        term = replace(arm.terms[name], is_bounded=not is_bent)
+        term = replace(arm.friction_of(name), is_bounded=not is_bent)
         is_compared = question.differing is not None
         if name == OFFSET.name and (is_compared or question.usual_offsets):
             usual = usual_offset(arm, torque)
@@ -279,7 +279,7 @@ def _unknown_friction(
     for name, deviations in sizes.items():
         if TERMS[name].prior and name not in friction:
             yield replace(
-                arm.terms[name],
+                arm.friction_of(name),
                 cause=FURTHER_FRICTION,
                 prior=independent(deviations),
                 is_bounded=False,

@@ -206,6 +206,7 @@ class ArmTerms:
         friction: names of friction terms that have columns beside those of ``USUAL_FRICTION``.
         loaded: whether some recordings carry a payload.
         fastest: (n,) highest speed of each joint in the recordings [rad/s or m/s]; None for none.
+        offered: motors that an arm may have beside, whose columns stand beside the others.
 
     Attributes:
         tops: (n,) speeds at which the joints' friction is flat [rad/s or m/s]; a model that bends
@@ -226,9 +227,11 @@ class ArmTerms:
         friction: Sequence[str] = (),
         loaded: bool = False,
         fastest: Array | None = None,
+        offered: Sequence[Coupling] = (),
     ) -> None:
         self.robot = robot
         self.motors = tuple(motors)
+        self._offered = tuple(offered)
         n = robot.n_joints
         # Columns of what the model does not state would cost time.
         rigid = without_polynomials(robot)
@@ -308,14 +311,13 @@ class ArmTerms:
             columns = partial(self._friction, name)
             reference = TERMS[name].stated(robot)[self.indices]
             if TERMS[name] in (BEND, *POLYNOMIAL):
-                own += tuple(TERMS[name].at(motor.name) for motor in self.motors)
+                all_motors = (*self.motors, *self._offered)
+                own += tuple(TERMS[name].at(motor.name) for motor in all_motors)
                 columns = partial(self._with_motors, name)
-                of_motors = [
-                    stated_at(robot, motor, TERMS[name]) for motor in self.motors
-                ]
-                reference = np.append(reference, of_motors)
+                stated = [stated_at(robot, each, TERMS[name]) for each in all_motors]
+                reference = np.append(reference, stated)
             yield Term(FRICTION, own, columns, reference=reference)
-        yield from map(self.motor, self.motors)
+        yield from map(self.motor, (*self.motors, *self._offered))
         scales = self._of_joints(parameters.SCALE)
         yield Term(SCALES, scales, self._scales)
         zeros = self._of_joints(parameters.ZERO, range(robot.n_joints))
@@ -334,6 +336,12 @@ class ArmTerms:
         if self.has_gravity:
             yield Term(TILT, parameters.TILTS, self._tilt)
         yield Term(DELAY, (parameters.DELAY,), self._delay)
+
+    def friction_of(self, name: str) -> Term:
+        """Return a friction term of joints, and of the motors that the arm has."""
+        term = self.terms[name]
+        at = [k for k, each in enumerate(term.parameters) if each.of in self.owners]
+        return term.only(at)
 
     def motor(self, motor: Coupling) -> Term:
         """Return the term of a motor that turns several joints."""
@@ -487,7 +495,7 @@ class ArmTerms:
         It depends on speed alone.
         """
         columns = [self._friction(name, rows, point)]
-        for motor in self.motors:
+        for motor in (*self.motors, *self._offered):
             speed = rows.motion.qd @ motor.ratios
             torque = TERMS[name].of_state(speed, speed, speed, speed, motor.top)
             columns.append((torque[:, None] * motor.ratios[self.indices])[:, :, None])

@@ -46,6 +46,14 @@ LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband, or in long holes of the log, may
 have in a row that is used."""
 
+TURN_TRAVELS = (1e-3, 3e-3)
+"""Travels from a turn within which dry friction may not have turned round [rad], of zones one
+around the other: teeth and balls bend before they slide. Gears of real arms take about 1 mrad, and
+after three times as much 5 % of the change are left. A zone of 3 mrad makes the rotors of long logs
+right; at every joint it makes the file of a TX40 worse, whose short log has no rows to spare."""
+PINION = 0.05
+"""Usual radius of the pinion that moves a slide [m]; screws turn round within less travel."""
+
 
 @dataclass(frozen=True)
 class FilteredRecording:
@@ -62,7 +70,8 @@ class FilteredRecording:
         tau: (N, n) torques, uniform but not filtered [N m].
         bridged: (N,) whether the motion of a sample was computed from samples over a long hole in
             the log.
-        turning: (N, n) whether a joint may be standing because it turns round.
+        from_turn: (N, n) travel of each joint from where it turns round [rad], of a slide that of
+            its pinion; zero where it may be standing.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         low_pass: the filter for columns and torques.
         name: of the log, in messages.
@@ -81,7 +90,7 @@ class FilteredRecording:
     qdd: Array
     tau: Array
     bridged: Mask
-    turning: Mask
+    from_turn: Array
     deadband: Array
     low_pass: LowPass
     name: str = ""
@@ -106,8 +115,9 @@ class FilteredRecording:
             fields: further fields of the recording.
         """
         series = motion.time, motion.q, motion.qd, motion.qdd, tau
-        never = np.zeros(tau.shape, dtype=bool)
-        return cls(*series, never[:, 0], never, np.zeros(1), low_pass, **fields)
+        never = np.zeros(len(tau), dtype=bool)
+        far = np.full(tau.shape, np.inf)
+        return cls(*series, never, far, np.zeros(1), low_pass, **fields)
 
     def __len__(self) -> int:
         """Return the number K of rows."""
@@ -163,10 +173,9 @@ class FilteredRecording:
         """Which rows (K, n) may be used: of joints with torque, where friction has a direction."""
         return self.is_moving & self.has_torque
 
-    @cached_property
-    def at_turns(self) -> Mask:
-        """Which rows (K, n) lie where a joint may be standing because it turns round."""
-        return ~self._is_light(self.turning)
+    def at_turns(self, travel: float) -> Mask:
+        """Return which rows (K, n) lie within a travel [rad] of where a joint turns round."""
+        return ~self._is_light(self.from_turn <= travel)
 
     def _is_light(self, is_marked: Mask) -> Mask:
         """Return (K, ...) whether marked samples have next to no weight in each row's window."""
@@ -250,6 +259,7 @@ def low_pass_uniform(
     stops = abrupt_stops(uniform.time, uniform.q)
     stops = np.convolve(stops, reach, "same")[: len(stops)] > 0.0
     stop_share = position_filter.weight_shares(stops)
+    radius = np.where(robot.is_slide, PINION, 1.0)
     # Below this share of its peak speed a joint has hardly left stiction.
     deadband = 0.005 * np.max(np.abs(qd), axis=0)
     filtered = FilteredRecording(
@@ -259,7 +269,7 @@ def low_pass_uniform(
         qdd=qdd,
         tau=uniform.tau[inner],
         bridged=(hole_share + stop_share)[REACH:-REACH] > LARGEST_SLOW_SHARE,
-        turning=turning_samples(uniform.q[inner], q[REACH:-REACH], qd),
+        from_turn=travel_from_turns(uniform.q[inner], q[REACH:-REACH], qd) / radius,
         deadband=np.maximum(deadband, 1e-3),  # encoder noise alone can look so fast
         low_pass=low_pass,
         name=uniform.name,
@@ -302,26 +312,30 @@ def _notes(
             )
 
 
-def turning_samples(readings: Array, q: Array, qd: Array) -> Mask:
-    """Return at which samples (N, n) a joint may be standing while it turns round.
+def travel_from_turns(readings: Array, q: Array, qd: Array) -> Array:
+    """Return how far (N, n) each joint is from the turn before or after it, zero where not clearly.
 
     A joint with dry friction does not turn round at once: it stands until its torque has changed by
     twice the friction, 20 to 60 ms under a stiff controller. Low-passed positions show a smooth
     turn instead, with a speed that has a sign at every moment, and Coulomb friction computed from
     that sign is wrong by up to twice its size, in the direction of the acceleration at every turn:
     it looks like rotor inertia. A joint may be standing until a reading differs clearly from the
-    outermost one; a joint that turns round without standing is marked for as long.
+    outermost one; where it does not stand, its gears still bend the other way first.
 
     Args:
         readings: (N, n) positions as they were read [rad].
         q: (N, n) low-passed positions [rad].
         qd: (N, n) low-passed velocities, whose sign shows the turns [rad/s].
+
+    Returns:
+        The farthest that the joint has been from the outermost reading on its way from or to the
+        turn [rad]; infinite where it does not turn round.
     """
-    is_turning = np.zeros(qd.shape, dtype=bool)
+    travel = np.full(qd.shape, np.inf)
     # The median of the size of a standard normal number is 0.6745. Readings that differ by six
     # deviations do not differ by chance; if they are rounded, that is between one step and two.
     clear = 6.0 * np.median(np.abs(readings - q), axis=0) / 0.6745
-    for joint, (reading, speed) in enumerate(zip(readings.T, qd.T)):
+    for reading, speed, own in zip(readings.T, qd.T, travel.T):
         # Around each turn, the samples from the turn before it to the turn after it.
         turns = np.flatnonzero(np.diff(np.sign(speed))) + 1
         edges = [0, *turns.tolist(), len(speed)]
@@ -329,12 +343,11 @@ def turning_samples(readings: Array, q: Array, qd: Array) -> Mask:
             # 1 where the joint turns at its highest position, -1 at its lowest.
             outward = np.sign(speed[turn - 1] - speed[turn])
             height = outward * reading[start:stop]
-            is_away = np.max(height) - height > clear[joint]
-            away = start + np.flatnonzero(is_away)
-            first = np.max(away[away < turn] + 1, initial=start)
-            last = np.min(away[away >= turn], initial=stop)
-            is_turning[first:last, joint] = True
-    return is_turning
+            away = np.max(height) - height
+            before, after = away[: turn - start][::-1], away[turn - start :]
+            farthest = np.maximum.accumulate(before)[::-1], np.maximum.accumulate(after)
+            own[start:stop] = np.minimum(own[start:stop], np.concatenate(farthest))
+    return np.where(travel > clear, travel, 0.0)
 
 
 def abrupt_stops(time: Array, readings: Array) -> Mask:

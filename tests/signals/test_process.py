@@ -13,8 +13,10 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Recording
 from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
+    PINION,
+    TURN_TRAVELS,
     abrupt_stops,
-    turning_samples,
+    travel_from_turns,
 )
 
 assert_close = partial(assert_allclose, rtol=0.0)
@@ -169,14 +171,36 @@ def test_samples_near_a_turn_may_be_at_rest(outward, standing):
     exact = np.column_stack((outward * position, outward * position))
     readings = exact + noise[:, None]
     speeds = np.column_stack((-2.0 * outward * time, np.ones_like(time)))
-    turning = turning_samples(readings, exact, speeds)
-    assert np.all(turning[np.abs(time) <= 0.5 * standing, 0])
+    travel = travel_from_turns(readings, exact, speeds)
+    assert np.all(travel[np.abs(time) <= 0.5 * standing, 0] == 0.0)
     # Noise moves the outermost reading, and each one that is compared with it.
-    clear = -position > (6.0 + 8.0) * NOISE
-    assert not np.any(turning[clear, 0])
-    assert np.any(turning[:, 0])
+    moved = 8.0 * NOISE
+    clear = -position > 6.0 * NOISE + moved
+    assert_close(travel[clear, 0], -position[clear], atol=moved)
+    assert np.any(travel[:, 0] == 0.0)
+    # A joint that has been away once is not at its turn again.
+    ways = travel[time < 0.0, 0][::-1], travel[time > 0.0, 0]
+    assert all(np.all(np.diff(way) >= 0.0) for way in ways)
     # A joint that never turns round is never unsure.
-    assert not np.any(turning[:, 1])
+    assert np.all(travel[:, 1] == np.inf)
+
+
+@pytest.mark.parametrize("travel", TURN_TRAVELS)
+def test_a_turns_zone_is_a_travel_of_the_gears_whatever_sensors_read(travel):
+    """It is 1 mrad at least, also of sensors without noise; of a slide, that of a pinion."""
+    swing = Swing(frequencies=np.array([0.3]), joints=2)
+    log = swing.measurement(seconds(20.0, 500.0))
+    signals = filtered(log, cutoff=8.0, is_slide=(False, True))
+    from_turn = swing.amplitude - np.abs(swing.q(signals.time))
+    near = from_turn < travel * np.array([1.0, PINION])
+    # Before its first turn and after its last one, nothing tells how far a joint is from one.
+    turns = [np.flatnonzero(np.diff(np.sign(speed))) for speed in signals.qd.T]
+    first, last = max(own[1] for own in turns), min(own[-2] for own in turns)
+    zone = signals.from_turn <= travel
+    assert_array_equal(zone[first:last], near[first:last])
+    assert travel >= 1e-3 and np.all(np.any(near[first:last], axis=0))
+    lost = signals.low_pass.weight_shares(zone) > LARGEST_SLOW_SHARE
+    assert_array_equal(signals.at_turns(travel), lost)
 
 
 @pytest.mark.parametrize("resolution", [1e-5, 1e-4])
