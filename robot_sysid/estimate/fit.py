@@ -299,6 +299,8 @@ class Fit(Problem):
         left_out: which estimates without one block each there are.
         held_apart: (B, p) values of the parameters that are not estimated, in the estimates without
             one block each; None for those of the estimate from all blocks.
+        line: of a model file, the fit with straight friction in place of that which bends; None
+            where it has none.
     """
 
     equations: Equations
@@ -310,6 +312,7 @@ class Fit(Problem):
     bodies: Possible | None = None
     left_out: LeftOut = LeftOut.NOTHING
     held_apart: Array | None = None
+    line: Fit | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

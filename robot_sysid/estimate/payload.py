@@ -15,7 +15,7 @@ from robot_sysid import spatial
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.offers import Effect, Offers
-from robot_sysid.estimate.restricted_fit import curved_file, model_file, straight_of
+from robot_sysid.estimate.restricted_fit import model_file
 from robot_sysid.estimate.result import (
     body_estimate,
     fit_quantities,
@@ -100,7 +100,7 @@ def payload_result(
     written = None
     file_notes: list[str] = []
     if file is not None:
-        written = model_file(straight_of(file), curved=curved_file(file))
+        written = model_file(file)
         judgement = judge_file(written)
         if judgement.level is not Level.SAYS:
             file = None

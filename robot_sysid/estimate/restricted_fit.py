@@ -60,9 +60,12 @@ def offsets_of_model(file: Fit) -> Fit:
     return file.fit([file.arm.terms[OFFSET.name]], payload)
 
 
-def errors_of(file: Fit) -> ModelErrors:
-    """Return the held-out errors of the given model and of a fitted model file."""
-    model = offsets_of_model(file)
+def errors_of(file: Fit, model: Fit | None = None) -> ModelErrors:
+    """Return the held-out errors of the given model and of a fitted model file.
+
+    ``model`` is the fit of the given model, where it is known already.
+    """
+    model = model or offsets_of_model(file)
     return ModelErrors(
         validation(model),
         validation(file),
@@ -90,33 +93,31 @@ def gravity_in(file: Fit) -> Array | None:
 
 
 def model_file(
-    file: Fit, others: Sequence[ModelErrors] = (), curved: CurvedFile | None = None
+    file: Fit,
+    others: Sequence[ModelErrors] = (),
+    curved_others: Sequence[ModelErrors] = (),
 ) -> ModelFile:
-    """Return what is said of a fitted model file.
+    """Return what is said of a fitted model file, and of that beside it whose friction bends.
 
     Args:
         file: its fit.
-        others: errors on other logs.
-        curved: what is said of the file beside it whose friction bends; None without one.
+        others: errors on other logs, of the file that any program reads.
+        curved_others: the same of that whose friction bends.
     """
+    straight = straight_of(file)
+    model = offsets_of_model(file)
+    curved = None
+    if straight is not file:
+        errors = vars(errors_of(file, model))
+        curved = CurvedFile(**errors, others=tuple(curved_others))
     return ModelFile(
-        **vars(errors_of(file)),
+        **vars(errors_of(straight, model)),
         others=tuple(others),
         gravity=gravity_in(file),
         kept=file.question.options.kept,
         motors=file.arm.motors,
         curved=curved,
     )
-
-
-def curved_file(file: Fit, others: Sequence[ModelErrors] = ()) -> CurvedFile | None:
-    """Return what is said of a fitted file whose friction bends; None where none does.
-
-    ``others`` are its errors on other logs.
-    """
-    if not any(bent_owners(file)):
-        return None
-    return CurvedFile(**vars(errors_of(file)), others=tuple(others))
 
 
 def bent_owners(file: Fit) -> Iterator[str]:
@@ -127,14 +128,16 @@ def bent_owners(file: Fit) -> Iterator[str]:
 
 
 def straight_of(file: Fit) -> Fit:
-    """Return the fit of the file that any program reads: with the line nearest to each bend.
+    """Return the fit of the file that any program reads, which has no bends."""
+    return file if file.line is None else file.line
+
+
+def _line_of(file: Fit) -> Fit:
+    """Return the fit of a file with the straight line nearest to each bend of friction.
 
     Links, rotors and gravity are those of the file whose friction bends, which are nearer to the
-    truth than those that would make up for a line; so they are when a block is held out. A file
-    without bends is its own.
+    truth than those that would make up for a line; so they are when a block is held out.
     """
-    if not any(bent_owners(file)):
-        return file
     terms = [
         term
         for term, _ in file.equations.spans
@@ -184,12 +187,13 @@ def fit_file(estimate: Fit, carried: Array | None = None, may_bend: bool = True)
     fitted = estimate.fit(terms, held, noise)
     # What is printed as held-out is the error of such files, not of fits without their bounds.
     fitted = replace(fitted, left_out=LeftOut.WITH_BOUNDS)
-    if bend is None:
+    if not any(bent_owners(fitted)):
         return fitted
-    squares = [np.sum(file.held_out) for file in (fitted, straight_of(fitted))]
-    if squares[0] > (1.0 - WORTH) ** 2 * squares[1]:
+    line = _line_of(fitted)
+    curved, straight = (np.sum(file.held_out) for file in (fitted, line))
+    if curved > (1.0 - WORTH) ** 2 * straight:
         return fit_file(estimate, carried, may_bend=False)
-    return fitted
+    return replace(fitted, line=line)
 
 
 def bend_in_file(estimate: Fit) -> Term | None:

@@ -25,7 +25,6 @@ from robot_sysid.estimate.identifiability import fit_quality, square_root
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.restricted_fit import (
     bent_owners,
-    curved_file,
     error_without_rotors,
     errors_on,
     gravity_in,
@@ -139,8 +138,8 @@ def link_result(
     rows = [*fit_quantities(fitted, file, links), *beyond_model(last_link)]
     straight = straight_of(file)
     file_tests = [errors_on(straight, *other) for other in others]
-    curved = curved_file(file, [errors_on(file, *other) for other in others])
-    written = model_file(straight, file_tests, curved)
+    curved_tests = [errors_on(file, *other) for other in others]
+    written = model_file(file, file_tests, curved_tests)
     judgement = judge_file(written)
     missed = missed_friction(fitted)
     share = fitted.unexplained_share
