@@ -28,7 +28,7 @@ from robot_sysid.estimate.result import (
 )
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.estimate.trust import (
-    judge_file,
+    judge_files,
     judge_known_mass,
     judge_payload,
     missed_friction,
@@ -101,7 +101,7 @@ def payload_result(
     file_notes: list[str] = []
     if file is not None:
         written = model_file(file)
-        judgement = judge_file(written)
+        judgement, *_ = judge_files(written, fitted.arm.model_bends)
         if judgement.level is not Level.SAYS:
             file = None
             written = None

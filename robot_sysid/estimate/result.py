@@ -47,7 +47,7 @@ from robot_sysid.estimate.trust import (
     find_misfits,
     implausible_joints,
     implausible_link,
-    judge_file,
+    judge_files,
     missed_friction,
     unexplained_torque,
     wrong_links,
@@ -63,7 +63,6 @@ from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import SURE, UNEXPLAINED
 from robot_sysid.records.messages import (
-    Level,
     Remark,
     percent,
     position_unit,
@@ -140,7 +139,7 @@ def link_result(
     file_tests = [errors_on(straight, *other) for other in others]
     curved_tests = [errors_on(file, *other) for other in others]
     written = model_file(file, file_tests, curved_tests)
-    judgement = judge_file(written)
+    judgement, *on_others = judge_files(written, fitted.arm.model_bends)
     missed = missed_friction(fitted)
     share = fitted.unexplained_share
     sentence = unexplained_torque(fitted)
@@ -151,9 +150,7 @@ def link_result(
     remarks = [*find_misfits(fitted, tests), *implausible_link(robot, last_link)]
     remarks += implausible_joints(robot, rows, fitted.torque)
     remarks += [judgement, *map(verdict.remark, doubts)]
-    # A file that is worse on another log than the given model is not trustworthy.
-    on_others = [judge_file(each, data=each.before.source) for each in file_tests]
-    remarks += [each for each in on_others if each.level is Level.REFUSES]
+    remarks += on_others
     # Links that took up the torque of missed friction say nothing of the model's.
     is_kept = FILE_LINKS in written.kept
     remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"

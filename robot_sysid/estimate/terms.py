@@ -264,6 +264,12 @@ class ArmTerms:
         return tuple(name for term in self.terms.values() for name in term.names)
 
     @property
+    def model_bends(self) -> bool:
+        """Whether friction of the given model bends with speed."""
+        tops = [*self.stated_tops, *(motor.stated_top for motor in self.motors)]
+        return bool(np.any(tops))
+
+    @property
     def owners(self) -> tuple[str, ...]:
         """Names of what has friction and rotors: joints, and motors that turn several."""
         return *self.robot.joint_names, *(motor.name for motor in self.motors)

@@ -21,7 +21,13 @@ from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
-from robot_sysid.results.record import BodyEstimate, ModelErrors, Quantity, Verdict
+from robot_sysid.results.record import (
+    BodyEstimate,
+    ModelErrors,
+    ModelFile,
+    Quantity,
+    Verdict,
+)
 from robot_sysid.wording import option_name
 
 
@@ -253,6 +259,27 @@ def judge_file(errors: ModelErrors, data: str = "held-out data") -> Remark:
         np.sum(errors.after.blocks, axis=1), np.sum(errors.before.blocks, axis=1)
     )
     return (Verdict.BETTER if is_better else Verdict.AS_GOOD).remark()
+
+
+def judge_files(file: ModelFile, model_bends: bool) -> list[Remark]:
+    """Return the verdict on written files, of that whose friction bends first, and on other logs.
+
+    A straight line is no better than the curve of a model that bends already: the other file is
+    then judged alone.
+
+    Args:
+        file: what is said of the files.
+        model_bends: whether friction of the given model bends.
+    """
+    judged = [each for each in (file.curved, file) if each is not None]
+    if model_bends:
+        judged = judged[:1]
+    remarks = sorted(map(judge_file, judged), key=lambda r: [*Level].index(r.level))[:1]
+    for each in judged:
+        # A file that is worse on another log than the given model is not trustworthy.
+        on_others = (judge_file(o, data=o.before.source) for o in each.others)
+        remarks += (r for r in on_others if r.level is Level.REFUSES)
+    return remarks
 
 
 def worse_joints(model: Validation, written: Validation) -> list[str]:

@@ -226,9 +226,11 @@ def _improvements(content: Content) -> Iterator[str]:
     if file:
         # A payload is part of both models: the change is that of links and friction.
         load = " with the payload" if payload else ""
+        # That of the file that is named first.
+        first = file["curved"] if file["curved"] and file["curved"]["name"] else file
         yield (
-            f"torque error{load} on held-out data {before_after_text(file, '_as_used')} as the "
-            f"files are used, {before_after_text(file)} torque offsets aside"
+            f"torque error{load} on held-out data {before_after_text(first, '_as_used')} as the "
+            f"files are used, {before_after_text(first)} torque offsets aside"
         )
     if payload and payload["known_mass"]:
         yield "torque scales follow from the known mass"
