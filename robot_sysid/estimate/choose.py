@@ -18,7 +18,7 @@ from robot_sysid.dynamics.friction import (
     stated_top,
     top_speeds,
 )
-from robot_sysid.estimate.contacts import without_contacts
+from robot_sysid.estimate.contacts import without_contacts, without_turns
 from robot_sysid.estimate.fit import ROUNDS, Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
     AS_STATED,
@@ -36,7 +36,7 @@ from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.process import TURN_TRAVELS, FilteredRecording, Mask
+from robot_sysid.signals.process import FilteredRecording
 
 # Shows nothing.
 _SILENT = Progress()
@@ -166,44 +166,6 @@ def fastest_of(speeds: Array, ratios: Array) -> Array:
     ``ratios`` (m, n): motor speed per joint speed.
     """
     return np.max(np.abs(speeds @ ratios.T), axis=0, initial=0.0)
-
-
-def without_turns(fitted: Fit) -> list[FilteredRecording]:
-    """Return recordings without the rows in which dry friction has not turned round with a joint.
-
-    A joint whose friction turns round at once keeps its rows, which tell most of friction.
-    """
-    recordings = []
-    for recording, own in zip(fitted.recordings, fitted.split(fitted.residuals)):
-        used = recording.used.copy()
-        zones = [recording.at_turns(travel) for travel in TURN_TRAVELS]
-        for row, joint in enumerate(fitted.arm.indices.tolist()):
-            near = [zone[:, joint] for zone in zones]
-            used[:, joint] &= ~contradicted(near, own[:, row])
-        recordings.append(recording.only(used))
-    return recordings
-
-
-def contradicted(zones: Sequence[Mask], residuals: Array) -> Mask:
-    """Return the last of zones (K,), one around the other, in which residuals (K,) are large.
-
-    From the narrowest one on, each has clearly larger ones in what it adds than beyond it.
-    """
-    last = np.zeros(len(residuals), dtype=bool)
-    for zone in zones:
-        added = mean_square(residuals[zone & ~last])
-        # Sensors behind the gears of a KUKA LWR4+ most often show 0.6 to 1.3 times the residuals at
-        # turns, motor currents of a UR10e 1.6 to 3.5 times.
-        if not added > 1.4**2 * mean_square(residuals[~zone]) > 0.0:
-            break
-        last = zone
-    return last
-
-
-def mean_square(residuals: Array) -> float:
-    """Return the mean square of the residuals (m,) of rows that are used; zero of none."""
-    squares = residuals[np.isfinite(residuals)] ** 2
-    return float(np.mean(squares)) if len(squares) else 0.0
 
 
 def dry_friction(fitted: Fit) -> tuple[float, ...]:
