@@ -43,6 +43,9 @@ from robot_sysid.results.record import CurvedFile, ModelErrors, ModelFile
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
+ROOM = 1.001
+"""Room that the last link has for bodies on joints of their own, such as fingers, over what they
+need: an MJCF of a URDF has six digits of where they sit, which would leave none beside them."""
 WORTH = 0.01
 """Least share by which friction that bends lowers the held-out torque error, to be worth a second
 file: files of a TX40 and a UR10e gain 5 to 15 %. It is no test of significance, which would lose
@@ -283,7 +286,8 @@ def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
             term = _near(estimate, term)
         if key == LAST_LINK:
             hanging = [each.theta for each in arm.robot.bodies if not each.welded]
-            term = replace(term, least=np.sum([np.zeros(N_INERTIAL), *hanging], axis=0))
+            least = ROOM * np.sum([np.zeros(N_INERTIAL), *hanging], axis=0)
+            term = replace(term, least=least)
         elif term.cause == MOTORS:
             # Rotors are selected apart.
             term = term.only([0, 1])
