@@ -33,8 +33,8 @@ from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.records.file_access import CURVED_NAME
 from robot_sysid.records import Recording
+from robot_sysid.records.file_access import CURVED_NAME
 from robot_sysid.signals.process import low_pass_recordings
 
 PAGE = ROOT / "docs" / "evidence.md"

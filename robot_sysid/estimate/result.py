@@ -406,16 +406,13 @@ def friction_in(fitted: Fit, file: Fit) -> list[Quantity]:
             value = file.by_name[key]
             apart = abs(value - row.value)
             is_held = key in file.at_bound and math.isnan(row.error or 0.0)
-            error = math.nan if is_held else math.hypot(finite(row.error), apart)
+            # Of a number that the fit holds at its bound, that of the fit without bounds.
+            of_fit = fitted.error_of(key)
+            error = math.nan if is_held else math.hypot(of_fit, apart)
             source = row.source if is_held or row.source != BOUND else DATA
             row = replace(row, name=name, value=value, error=error, source=source)
         rows.append(row)
     return sorted(rows, key=lambda row: owners.index(row.of))
-
-
-def finite(error: float | None) -> float:
-    """Return a standard error, 0 of a number that is held at its bound."""
-    return 0.0 if error is None or math.isnan(error) else error
 
 
 def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
