@@ -102,17 +102,44 @@ def joint_offs(answer: Rows, arm: WrongArm, joint: int) -> Iterator[Off]:
             yield off(quantity, row, true, true or least_size)
 
 
-def errors_of(arm: WrongArm, answer: Rows) -> list[Off]:
-    """Return how far the numbers of an answer are off, the last link's mass first."""
+def curve_offs(truth: Truth, curve: Mapping[str, Any]) -> Iterator[Off]:
+    """Yield how far the whole friction of a joint that bends is off, at each of its speeds.
+
+    The truth is that under the joint's usual load in the log.
+    """
+    robot = truth.robot
+    joint = robot.joint_names.index(curve["of"])
+    load = float(np.sqrt(np.mean(truth.rigid[:, joint] ** 2)))
+    true = truth.arm.friction_at(joint, np.array(curve["speeds"]), load)
+    for found, error, size in zip(curve["torque"], curve["errors"], true.tolist()):
+        yield "friction", found - size, error, size
+
+
+def errors_of(
+    truth: Truth, answer: Rows, curves: Sequence[Mapping[str, Any]]
+) -> list[Off]:
+    """Return how far the numbers of an answer are off, the last link's mass first.
+
+    Where friction bends, that of ``curves`` counts in place of viscous friction, which is a part of
+    the bend.
+    """
+    arm = truth.arm
     robot = arm.robot
+    bent = {curve["of"] for curve in curves}
     offs = list(last_link_offs(answer, robot.body_name, arm.thetas[-1]))
     for index in other_links(robot):
         row = answer.get((robot.links[index].body_name, "mass"))
         true_mass = float(arm.thetas[index][0])
         if row is not None:
             offs.append(off("other masses", row, true_mass, true_mass))
-    for joint in range(robot.n_joints):
-        offs += joint_offs(answer, arm, joint)
+    for joint, name in enumerate(robot.joint_names):
+        offs += (
+            each
+            for each in joint_offs(answer, arm, joint)
+            if each[0] != "viscous" or name not in bent
+        )
+    for curve in curves:
+        offs += curve_offs(truth, curve)
     return offs
 
 
@@ -126,13 +153,13 @@ class Tally:
     trusted: int = 0
     wrong: int = 0
 
-    def add(self, arm: WrongArm, answer: dict[str, Any] | None) -> None:
+    def add(self, truth: Truth, answer: dict[str, Any] | None) -> None:
         """Count an answer, the content of params.json; None where the log is refused."""
         if answer is None:
             self.refused += 1
             return
         self.answered += 1
-        errors = errors_of(arm, rows(answer))
+        errors = errors_of(truth, rows(answer), answer["curves"])
         for quantity, *numbers in errors:
             self.offs.setdefault(quantity, []).append(tuple(numbers))
         _, error, stated, true_mass = errors[0]
@@ -176,7 +203,7 @@ def study(
         for truth in draw_arms(robot, arm_name, deviation, seeds, durations):
             write_log(folder / "log.csv", robot.joint_names, truth.log)
             answer, _ = identify_logs(folder, model, [folder / "log.csv"])
-            tally.add(truth.arm, answer)
+            tally.add(truth, answer)
     return tally
 
 

@@ -1,15 +1,19 @@
 """The rows of a params.json by what has them."""
 
-from robot_sysid.results.record import FILE
+from robot_sysid.results.record import CURVED, FILE
+
+OF_FILES = (FILE, CURVED)
 
 
 def rows(content):
     """(body or joint, name) to each identified row."""
-    found = [row for row in content["quantities"] if row["source"] != FILE]
+    found = [row for row in content["quantities"] if row["source"] not in OF_FILES]
     return {(row["of"], row["name"]): row for row in found}
 
 
 def motors(content):
     """The motors that turn several joints."""
-    owners = [row["of"] for row in content["quantities"] if row["source"] != FILE]
+    owners = [
+        row["of"] for row in content["quantities"] if row["source"] not in OF_FILES
+    ]
     return list(dict.fromkeys(owner for owner in owners if "+" in owner))

@@ -128,6 +128,18 @@ class WrongArm:
         friction = friction + self.bend * bending(motion.qd / self.bend_top)
         return load + self.rotor * motion.qdd, friction
 
+    def friction_at(self, joint, speeds, load):
+        """Return the friction (m,) of a joint at positive speeds (m,), of a load [N m]."""
+        names = ("coulomb", "stribeck", "fading", "root", "loss", "viscous", "bend")
+        sizes = {
+            name: np.broadcast_to(getattr(self, name), len(self.thetas))[joint]
+            for name in (*names, "bend_top")
+        }
+        dry = sizes["coulomb"] + sizes["stribeck"] * np.exp(-speeds / sizes["fading"])
+        dry = dry + sizes["root"] * np.sqrt(speeds) + sizes["loss"] * load
+        bend = sizes["bend"] * bending(speeds / sizes["bend_top"])
+        return dry + sizes["viscous"] * speeds + bend
+
     def log(self, motion, noise, payload=0.0):
         """Return what the sensors say in a motion, with torque noise (N, n) [N m]."""
         rigid, friction = self.torques(motion, payload)

@@ -436,7 +436,7 @@ def wrong_models(fitted: Fit, current: Fit, evidence: Evidence) -> Iterator[Find
         scales = fitted.question.link_scales
         share = PER_CENT * fitted.question.options.priors.link
         yield Finding(
-            Level.DOUBTS if current.unexplained_share > PER_CENT else Level.SAYS,
+            Level.SAYS,
             "model",
             f"the links differ from the model by {percent(scales.mass * share)} of their masses, "
             f"and by {percent(scales.centre_of_mass * share)} of their size in their centres of "
