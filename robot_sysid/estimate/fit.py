@@ -473,10 +473,11 @@ class Fit(Problem):
         is_any = self.left_out is not LeftOut.NOTHING
         for block in self.sums.blocks if is_any else ():
             other = self.before(block)
-            values, inverse = other.without([block])
+            normal = other.normal_without([block])
+            values, inverse = solve(normal, other.start, other.is_free)
             errors.append(other.expected_squares(inverse, [block]))
             if self.left_out is LeftOut.WITH_BOUNDS:
-                values = other._possible_without(block, values)
+                values = other._possible_of(normal, values)
             estimates.append(values)
         return np.array(estimates), np.array(errors)
 
@@ -537,15 +538,19 @@ class Fit(Problem):
         """Return (estimate (k,), inverse (k, k)) without some blocks."""
         return solve(self.normal_without(blocks), self.start, self.is_free)
 
-    def _possible_without(self, block: int, values: Array) -> Array:
-        """Return the estimate (k,) without a block, its bounds obeyed and its bodies possible.
+    def _possible_of(self, normal: Array, values: Array) -> Array:
+        """Return the solution (k,) of products (k + 1, k + 1) in bounds, with possible bodies.
 
-        ``values`` (k,) is the estimate that may break them.
+        ``values`` (k,) is the solution that may break them.
         """
         equations = self.equations
         if equations.are_possible(values) and not np.any(equations.crossing(values)):
             return values
-        return self.constrained(self.normal_without([block]), True).values
+        # Bounds first, as in the fit itself: each search for bodies takes the time of ten fits.
+        bounded = self.constrained(normal, False)
+        if equations.are_possible(bounded.values):
+            return bounded.values
+        return bounded.constrained(normal, True).values
 
     def constrained(self, normal: Array, possible: bool) -> Fit:
         """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.

@@ -65,7 +65,7 @@ def lines_of_the_slide(text):
 def test_no_command_gives_a_slide_the_units_of_a_hinge(command, robot, tmp_path):
     identified = command.run("identify arm.xml off.csv --verbose --report")
     # A part of it, of 60 N that the joint carries, is within what links and base may be off.
-    found = re.search(r"an offset of a torque sensor \(lift (\d+) N\)", identified.err)
+    found = re.search(r"an offset of a torque sensor \(lift (\d+) N\b", identified.err)
     assert found and 28 <= int(found.group(1)) <= 30
     planned = command.run("plan arm.xml --excitation sines --duration 5 --verbose")
     page = (OUT / "report.html").read_text()
