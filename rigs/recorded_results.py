@@ -123,7 +123,8 @@ CHANGES = (
 
 def console(result):
     """Return the printed lines of a result; those of --verbose begin with "-v"."""
-    content = content_of(result)
+    # Whatever friction this MuJoCo knows.
+    content = content_of(result, has_curved=False)
     lines = [*block_lines(content, False), *more_lines(content), verdict_line(content)]
     if "j5+j6" in {row.of for row in result.quantities}:
         lines = [*block_lines(content, True), "", *lines]
@@ -155,7 +156,10 @@ def params():
     for name in WRITTEN:
         payload = RESULTS[name].payload
         card = payload and number_groups(payload)
-        content = {**content_of(RESULTS[name], card, ("another",)), "versions": None}
+        content = {
+            **content_of(RESULTS[name], card, ("another",), has_curved=False),
+            "versions": None,
+        }
         lines.append(f"== {name}")
         for key, value in content.items():
             entries = value if key in ("quantities", "remarks") else [value]
