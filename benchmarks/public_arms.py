@@ -34,6 +34,7 @@ from rigs.places import ROOT
 from robot_sysid.api.calls import identify, payload, read_log
 from robot_sysid.cli import main as run_command
 from robot_sysid.records import Recording
+from robot_sysid.records.file_access import CURVED_NAME
 from robot_sysid.signals.process import low_pass_recordings
 
 PAGE = ROOT / "docs" / "evidence.md"
@@ -148,7 +149,9 @@ def percents(before: float, after: float) -> str:
 def own_errors() -> str:
     """Return the errors that the run states, on data that did not make the file."""
     content = json.loads((OUT / "params.json").read_text(encoding="utf-8"))
-    tests = [*content["file"].get("others", []), content["file"]][0]
+    # Of the file that is named first.
+    file = content["file"]["curved"] or content["file"]
+    tests = [*file["others"], file][0]
     shares = [tests[name]["relative_error"] for name in ("before", "after")]
     text = percents(*shares)
     if content["payload"] is not None:
@@ -192,7 +195,9 @@ def elsewhere(arm: PublicArm) -> str:
                 result = identify(model, first, **values)
             last = cut(log, middle, end)
             test = Recording(last["time"], last["q"], None, last["tau"])
-        file = next(p for p in result.save(folder) if p.suffix in (".xml", ".urdf"))
+        models = [p for p in result.save(folder) if p.suffix in (".xml", ".urdf")]
+        curved = [path for path in models if path.name == CURVED_NAME]
+        (file, *_) = [*curved, *models]
         signals = low_pass_recordings(result.robot, [test], result.cutoff)[0][0]
         shares = [
             file_error(judged, result.robot, signals)
