@@ -32,6 +32,7 @@ from robot_sysid.results.content import Content
 from robot_sysid.results.quantities import BEYOND
 from robot_sysid.results.record import Verdict
 from robot_sysid.results.table import (
+    CURVE_PARTS,
     body_rows,
     cells,
     friction_rows,
@@ -165,7 +166,12 @@ def _tables(run: Run) -> dict[str, list[list[tuple[str, ...]]]]:
             continue
         rows = friction_rows(content, owner)
         friction += [_table(rows, owner)] if rows else []
-        others += [row for row in rows_of(content, owner) if row not in rows]
+        # Parts of friction that bends are in the whole of it.
+        others += [
+            row
+            for row in rows_of(content, owner)
+            if row not in rows and row["name"] not in CURVE_PARTS
+        ]
     sensors = [_table(others, "sensors and recordings")] if others else []
     return {"bodies": bodies, "friction": friction, "sensors": sensors}
 
