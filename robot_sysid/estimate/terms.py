@@ -48,7 +48,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.links import reference_links
 from robot_sysid.estimate.rows import JointSums, Rows, Sums, block_numbers, row_chunks
-from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel, parameters
 from robot_sysid.records.parameters import INERTIAL, Parameter, keys_of, of_body
 from robot_sysid.signals.process import FilteredRecording, Mask
@@ -234,7 +233,7 @@ class ArmTerms:
         self._offered = tuple(offered)
         n = robot.n_joints
         # Columns of what the model does not state would cost time.
-        rigid = without_polynomials(robot)
+        rigid = without_polynomials(robot, self.motors)
         polynomial = [] if rigid is robot else [term.name for term in POLYNOMIAL]
         self.friction = tuple(dict.fromkeys((*USUAL_FRICTION, *polynomial, *friction)))
         stated = (term.stated(robot) for term in POLYNOMIAL)
@@ -590,9 +589,9 @@ def stated_at(robot: RobotModel, motor: Coupling, parameter: Parameter) -> float
     return float(parameter.stated_in(robot.mj_model, "tendon")[motor.tendon])
 
 
-def without_polynomials(robot: RobotModel) -> RobotModel:
+def without_polynomials(robot: RobotModel, motors: Sequence[Coupling]) -> RobotModel:
     """Return an arm without nonlinear damping of its joints and motors: terms have it."""
-    tendons = [*shared_motors(robot.mj_model, robot.dof_index)]
+    tendons = [motor.tendon for motor in motors if motor.tendon is not None]
     stated = [
         np.concatenate(
             (term.stated(robot), term.stated_in(robot.mj_model, "tendon")[tendons])

@@ -16,6 +16,7 @@ from rigs.payload_logs import (
     perturb_body,
     wide_motion,
 )
+from rigs.releases import since
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
@@ -191,10 +192,16 @@ def test_friction_passes_the_filter_that_the_torque_has_passed(seed):
     assert_allclose(arm.torque(rows, start, dry) - known, measured, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", arms.MODELS)
+CURVED_MOTOR = arms.SHARED_MOTOR.replace('damping=".4"', 'damping=".9 -.3 .04"')
+CURVED = {"nonlinear damping": arms.NONLINEAR_DAMPING, "curved motor": CURVED_MOTOR}
+
+
+@pytest.mark.parametrize(
+    "name", [*arms.MODELS, *(pytest.param(name, marks=since(3, 7)) for name in CURVED)]
+)
 def test_the_models_parameters_make_the_models_torque(name):
     """Inverse dynamics by MuJoCo with all springs and tendons, and friction added."""
-    robot = arms.robot_of(arms.MODELS[name])
+    robot = arms.robot_of({**arms.MODELS, **CURVED}[name])
     motors, _ = motors_of(robot, "chain")
     arm = ArmTerms(robot, motors=motors)
     motion = arms.seeded_motion(0, robot.n_joints)
