@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid import spatial
+from robot_sysid.dynamics.friction import POLYNOMIAL
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.bodies import pose_in, write_body
@@ -67,6 +68,12 @@ def usual_arm(
     )
     mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
     friction = _usual_friction(robot.friction, rated_torque, rng)
+    # A curve keeps its shape: with another linear part alone, friction would fall, or drive.
+    for term in POLYNOMIAL:
+        stated = np.maximum(robot.friction.viscous, 1e-300)
+        scaled = term.stated(robot) * friction.viscous / stated
+        if np.any(scaled):
+            mj_model.dof_dampingpoly[robot.dof_index, term.entry] = scaled
     return replace(robot, mj_model=mj_model, links=links, friction=friction)
 
 

@@ -31,6 +31,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import CURVED_NAME, MODEL_NAMES
 from robot_sysid.results import written_model
 from robot_sysid.results.record import CURVED, FILE
+from robot_sysid.simulation.usual_arm import usual_arm
 
 TOP, SIZE, VISCOUS = 2.0, 0.3, 0.05
 DAMPING = polynomial(VISCOUS, SIZE, TOP)
@@ -275,6 +276,15 @@ def test_motors_are_fed_no_friction_of_a_curve(folder):
         motion = plan_of(robot).evaluate(np.linspace(0.0, 1.0, 20))
         parts.append(ArmDynamics(robot).weight_and_inertia(motion))
     assert_allclose(parts[0], parts[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_usual_arm_of_a_curved_model_has_a_curve_that_nowhere_falls(folder, seed):
+    robot = load_robot_model(folder / CURVED_NAME)
+    arm = usual_arm(robot, np.full(3, 2.0), np.random.default_rng(seed))
+    torques = [friction_of(arm, speed) for speed in np.linspace(0.01, 5.0, 60)]
+    assert np.all(np.diff(torques, axis=0) > -1e-9)
+    assert not np.allclose(friction_of(arm, 0.5), friction_of(robot, 0.5), rtol=1e-3)
 
 
 def test_a_damping_that_is_no_bend_stays_beside_what_is_identified(tmp_path, model):
