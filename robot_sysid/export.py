@@ -229,11 +229,14 @@ def write_simulator_cards(
         return []
     model = models[0]
     arm = load_robot_model(files.draft_of(model), joint=robot.terminal_joint)
+    names = [path.name for path in written]
+    curved = file_access.CURVED_NAME if file_access.CURVED_NAME in names else ""
     paths = []
     for simulator, name in file_access.SIMULATOR_CARD_NAMES.items():
         if config.cards.cards in (simulator, ALL):
             paths.append(model.with_name(name))
-            files.write(paths[-1], simulator_card(simulator, robot, arm, model.name))
+            text = simulator_card(simulator, robot, arm, model.name, curved)
+            files.write(paths[-1], text)
     return paths
 
 

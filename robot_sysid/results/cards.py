@@ -78,7 +78,11 @@ def card_text(
 
 
 def simulator_card(
-    simulator: str, robot: RobotModel, written: RobotModel, model_name: str
+    simulator: str,
+    robot: RobotModel,
+    written: RobotModel,
+    model_name: str,
+    curved: str = "",
 ) -> str:
     """Return the numbers of a written model as Python text that a simulator loads.
 
@@ -87,6 +91,7 @@ def simulator_card(
         robot: the arm as in the original model.
         written: the same arm as in the written model.
         model_name: name of the file of the written model.
+        curved: name of the file whose friction bends with speed; "" where there is none.
     """
     original = {body.name: body.theta for link in robot.links for body in link.bodies}
     bodies = {}
@@ -120,6 +125,7 @@ def simulator_card(
         simulator=SIMULATORS[simulator],
         model=robot.path.name,
         file=model_name,
+        curved=curved,
         bodies=bodies,
         unchanged=unchanged,
         merged=merged,

@@ -310,6 +310,17 @@ def test_a_damping_that_is_no_bend_stays_beside_what_is_identified(tmp_path, mod
     assert re.search("nonlinear damping of .* as the model states it", notes)
 
 
+def test_a_card_has_the_straight_line_and_says_so(folder):
+    log = folder / "log.csv"
+    result = rs.identify(folder / "arm.xml", log, cards="drake")
+    written = {path.name: path for path in result.save(folder / "cards")}
+    text = written["drake_card.py"].read_text()
+    assert f"{CURVED_NAME} has the curve" in text
+    straight = load_robot_model(written[STRAIGHT_NAME])
+    damping = [float(x) for x in re.findall(r"'damping': ([\d.e-]+)", text)]
+    assert_allclose(damping, straight.friction.viscous, rtol=1e-9)
+
+
 def test_errors_of_both_files_are_of_the_same_blocks(estimate):
     file = fit_file(estimate)
     curved, straight = (errors_of(each) for each in (file, straight_of(file)))
