@@ -147,7 +147,8 @@ def _line_of(file: Fit) -> Fit:
         if not term.bodies and term.key not in (BEND.name, TILT)
     ]
     bends = file.arm.terms[BEND.name].names
-    line = file.fit(terms, {**file.by_name, **dict.fromkeys(bends, 0.0)})
+    straight = {**file.by_name, **dict.fromkeys(bends, 0.0)}
+    line = file.fit(terms, straight, file.noise)
     held = np.array([file.equations.full(values) for values in file.alone])
     held[:, file.sums.at(bends)] = 0.0
     return replace(line, left_out=LeftOut.WITH_BOUNDS, held_apart=held)
@@ -168,26 +169,25 @@ def fit_file(estimate: Fit, carried: Array | None = None, may_bend: bool = True)
     rotors = select_rotors(estimate, unchanged)
     payload = {} if carried is None else dict(zip(PAYLOAD_NAMES, carried.tolist()))
     held = {**payload, **rotors}
-    # From this noise on: beside a larger one, offsets of their usual size would be the rest of an
-    # unusual one, and make it so large.
-    noise = estimate.noise
     terms = _terms(estimate, unchanged)
     bend = bend_in_file(estimate) if may_bend else None
     if bend is not None:
         terms.append(bend)
         held |= without_stated_bends(estimate)
     offset = arm.terms[OFFSET.name]
-    # Errors of offsets are the same whatever bodies are possible.
-    free = estimate.fit([*terms, offset], held, noise, possible=False)
+    # Errors of offsets are the same whatever bodies are possible. Each fit begins with the noise of
+    # the one before: beside a larger one, offsets of their usual size would be the rest of an
+    # unusual one, and make it so large.
+    free = estimate.fit([*terms, offset], held, estimate.noise, possible=False)
     terms.append(_known_offsets(replace(free, left_out=LeftOut.EACH)))
     if TILT in arm.terms and FILE_GRAVITY not in unchanged:
         prior = independent(np.full(2, np.radians(usual_errors.GRAVITY_IN_FILE)))
         tilt = replace(arm.terms[TILT], prior=prior)
         # Gravity is turned only where the torques clearly show it, whatever bodies are possible.
-        free = estimate.fit(terms, held, noise, possible=False)
+        free = estimate.fit(terms, held, free.noise, possible=False)
         if Offers(free, free.weights).offer(Effect.of(tilt)).gain > CLEAR:
             terms.append(tilt)
-    fitted = estimate.fit(terms, held, noise)
+    fitted = estimate.fit(terms, held, free.noise)
     # What is printed as held-out is the error of such files, not of fits without their bounds.
     fitted = replace(fitted, left_out=LeftOut.WITH_BOUNDS)
     if not any(bent_owners(fitted)):
