@@ -173,6 +173,8 @@ def fit_file(estimate: Fit, carried: Array | None = None, may_bend: bool = True)
     bend = bend_in_file(estimate) if may_bend else None
     if bend is not None:
         terms.append(bend)
+    if FILE_FRICTION not in unchanged:
+        # Beside another line, a bend of the model's would fall.
         held |= without_stated_bends(estimate)
     offset = arm.terms[OFFSET.name]
     # Errors of offsets are the same whatever bodies are possible. Each fit begins with the noise of

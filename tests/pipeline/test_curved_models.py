@@ -233,6 +233,23 @@ def test_a_curved_model_is_refitted_and_a_log_of_it_is_told_from_nothing(folder)
         ] * (1.0 - 1e-9)
 
 
+def test_a_curve_that_an_arm_does_not_have_leaves_nothing_in_its_file(folder):
+    """Beside a line with less viscous friction it would fall, and drive the joint."""
+    plain = 'range="-2 2" armature=".05" frictionloss=".3" damping=".05"'
+    plant = arms.robot_of(arms.serial_arm(joint=plain))
+    log = log_of(plant, noise_torque=0.01, encoder_resolution=1e-5)
+    path = folder / "plain.csv"
+    write_measurement_csv(path, plant.joint_names, [log])
+    result = rs.identify(folder / CURVED_NAME, path)
+    written = [p for p in result.save(folder / "plain") if p.suffix == ".xml"]
+    for each in written:
+        robot = load_robot_model(each)
+        torques = [friction_of(robot, speed) for speed in np.linspace(0.01, 5.0, 60)]
+        assert np.all(np.diff(torques, axis=0) > -1e-9)
+        assert_allclose(friction_of(robot, 0.5), 0.325, atol=0.02)
+    assert not np.any(load_robot_model(written[0]).mj_model.dof_dampingpoly)
+
+
 def test_check_finds_nothing_between_a_curved_model_and_its_arm(folder):
     check = rs.check(folder / CURVED_NAME, folder / "other.csv")
     assert not check.has_changed
