@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, compress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig
-from robot_sysid.errors import ExportError
+from robot_sysid.dynamics.friction import POLYNOMIAL, stated_top
+from robot_sysid.errors import ExportError, InputError
 from robot_sysid.export import (
     Written,
     remove_earlier,
@@ -188,6 +189,18 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
         )
 
 
+def refuse_bends(robot: RobotModel) -> None:
+    """Raise InputError where friction of a model bends: other damping beside it would fall."""
+    stated = (term.stated(robot) for term in POLYNOMIAL)
+    tops = stated_top(robot.friction.viscous, *stated)
+    bent = ", ".join(compress(robot.joint_names, tops > 0.0))
+    if bent:
+        raise InputError(
+            f"{robot.path}: friction of {bent} bends with speed, and servos are identified beside "
+            f"straight friction; give {file_access.MODEL_NAMES['mjcf']}, which is written beside it"
+        )
+
+
 def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> Written:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
@@ -201,8 +214,9 @@ def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> 
         progress: receives stages and notes.
 
     Raises:
-        InputError: the logs cannot be used; nothing is written then.
+        InputError: the logs cannot be used, or friction of the model bends; nothing is written.
     """
+    refuse_bends(robot)
     folder = config.output.output_dir
     with writable_folder(folder, progress), file_access.atomic_files() as files:
         result, poses = identify_servos(robot, config.log, progress)

@@ -19,6 +19,7 @@ from rigs.measured_logs import log_of, plan_of
 from rigs.releases import since
 from robot_sysid.dynamics.friction import BEND, polynomial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.errors import SysidError
 from robot_sysid.estimate.restricted_fit import (
     bent_owners,
     errors_of,
@@ -31,6 +32,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import CURVED_NAME, MODEL_NAMES
 from robot_sysid.results import written_model
 from robot_sysid.results.record import CURVED, FILE
+from robot_sysid.servo import refuse_bends
 from robot_sysid.simulation.usual_arm import usual_arm
 
 TOP, SIZE, VISCOUS = 2.0, 0.3, 0.05
@@ -325,6 +327,12 @@ def test_a_damping_that_is_no_bend_stays_beside_what_is_identified(tmp_path, mod
     assert_allclose(written.friction.viscous, 0.1, atol=0.03)
     notes = " ".join(remark.text for remark in result.remarks)
     assert re.search("nonlinear damping of .* as the model states it", notes)
+
+
+def test_servos_of_a_curved_model_are_refused_with_the_file_that_they_need(folder):
+    with pytest.raises(SysidError, match=f"bends with speed.*give {STRAIGHT_NAME}"):
+        refuse_bends(load_robot_model(folder / CURVED_NAME))
+    refuse_bends(load_robot_model(folder / STRAIGHT_NAME))
 
 
 def test_a_card_has_the_straight_line_and_says_so(folder):
