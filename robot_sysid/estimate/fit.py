@@ -472,7 +472,7 @@ class Fit(Problem):
         errors = []
         is_any = self.left_out is not LeftOut.NOTHING
         for block in self.sums.blocks if is_any else ():
-            other = self.before(block)
+            other = self.before[block]
             normal = other.normal_without([block])
             values, inverse = solve(normal, other.start, other.is_free)
             errors.append(other.expected_squares(inverse, [block]))
@@ -481,13 +481,16 @@ class Fit(Problem):
             estimates.append(values)
         return np.array(estimates), np.array(errors)
 
-    def before(self, block: int) -> Fit:
-        """Return the fit with what it holds where a block is left out."""
+    @cached_property
+    def before(self) -> tuple[Fit, ...]:
+        """Per block (B,) the fit with what it holds where the block is left out."""
         if self.held_apart is None:
-            return self
-        held = self.held_apart[block]
-        equations = Equations(self.sums, self.equations.terms, held)
-        return replace(self, equations=equations, held_apart=None)
+            return (self,) * len(self.sums.blocks)
+        fits = []
+        for held in self.held_apart:
+            equations = Equations(self.sums, self.equations.terms, held)
+            fits.append(replace(self, equations=equations, held_apart=None))
+        return tuple(fits)
 
     @property
     def alone(self) -> Array:
@@ -512,8 +515,8 @@ class Fit(Problem):
         """Return squared errors (B, J) of blocks predicted by estimates (B, k) [N^2 m^2]."""
         return np.array(
             [
-                self.before(block).equations.squared_residuals(values, [block])
-                for block, values in enumerate(alone)
+                other.equations.squared_residuals(values, [block])
+                for block, (other, values) in enumerate(zip(self.before, alone))
             ]
         )
 
