@@ -34,7 +34,7 @@ from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Recording
-from robot_sysid.records.file_access import CURVED_NAME
+from robot_sysid.records.file_access import curved_in
 from robot_sysid.signals.process import low_pass_recordings
 
 PAGE = ROOT / "docs" / "evidence.md"
@@ -169,10 +169,10 @@ def column(case: Case, folder: Path) -> dict[str, str]:
         ]
         error = [percent(file_error(path, result.robot, test)) for path in written[:1]]
         cells[file_format] = error[0] if error else "none is written"
-        curved = [path for path in written if path.name == CURVED_NAME]
+        curved = curved_in(written)
         cells["curved"] = cells[file_format]
         if curved:
-            cells["curved"] = percent(file_error(curved[0], result.robot, test))
+            cells["curved"] = percent(file_error(curved, result.robot, test))
     cells["catalogue"] = percent(file_error(mjcf, result.robot, test))
     cells["mjcf mass"] = f"{result.mass:.3f} ± {result.standard_errors['m']:.3f}"
     plain = LeastSquares(case, result.robot, cutoff)

@@ -127,8 +127,7 @@ def save(
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
             written += motor_paths
-        names = [path.name for path in written]
-        has_curved = file_access.CURVED_NAME in names
+        has_curved = file_access.curved_in(written) is not None
         content = content_of(result, card, notes, failure, has_curved)
         step = None if content["failure"] else step
         verdict = last_lines(content, written, step)
@@ -229,13 +228,13 @@ def write_simulator_cards(
         return []
     model = models[0]
     arm = load_robot_model(files.draft_of(model), joint=robot.terminal_joint)
-    names = [path.name for path in written]
-    curved = file_access.CURVED_NAME if file_access.CURVED_NAME in names else ""
+    curved = file_access.curved_in(written)
+    curved_name = curved.name if curved else ""
     paths = []
     for simulator, name in file_access.SIMULATOR_CARD_NAMES.items():
         if config.cards.cards in (simulator, ALL):
             paths.append(model.with_name(name))
-            text = simulator_card(simulator, robot, arm, model.name, curved)
+            text = simulator_card(simulator, robot, arm, model.name, curved_name)
             files.write(paths[-1], text)
     return paths
 

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.friction import POLYNOMIAL, stated_top
+from robot_sysid.dynamics.friction import POLYNOMIAL, stated_tops
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links
@@ -190,9 +190,8 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
     # MuJoCo before 3.7 has no such damping.
-    quadratic, cubic = (term.stated(robot) for term in POLYNOMIAL)
-    is_bend = stated_top(robot.friction.viscous, quadratic, cubic) > 0.0
-    is_other = ((quadratic != 0.0) | (cubic != 0.0)) & ~is_bend
+    stated = [term.stated(robot) for term in POLYNOMIAL]
+    is_other = np.any(stated, axis=0) & (stated_tops(robot) == 0.0)
     if np.any(is_other):
         names = ", ".join(robot.joint_names[k] for k in np.flatnonzero(is_other))
         yield (

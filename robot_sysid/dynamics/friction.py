@@ -31,7 +31,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robot_sysid.records import Array
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.parameters import Parameter
 from robot_sysid.records.usual_errors import CURVATURE, FADING
 
@@ -241,6 +241,12 @@ def stated_top(damping: Array, quadratic: Array, cubic: Array) -> Array:
     return np.where(is_bend, -quadratic / (3.0 * cubic), 0.0)
 
 
+def stated_tops(robot: RobotModel) -> Array:
+    """Return ``stated_top`` of each joint of an arm (n,), as its model states friction."""
+    quadratic, cubic = (term.stated(robot) for term in POLYNOMIAL)
+    return stated_top(robot.friction.viscous, quadratic, cubic)
+
+
 @dataclass(frozen=True)
 class Coupling:
     """One motor that turns with several joints.
@@ -269,3 +275,9 @@ class Coupling:
     def parameters(self) -> tuple[Parameter, ...]:
         """The motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
         return tuple(term.at(self.name) for term in self.terms)
+
+    def stated(self, parameter: Parameter, mj_model: Any) -> float:
+        """Return a compiled model's value of a parameter of this motor; 0 where it states none."""
+        if self.tendon is None or not parameter.attribute:
+            return 0.0
+        return float(np.ravel(parameter.stated_in(mj_model, "tendon")[self.tendon])[0])

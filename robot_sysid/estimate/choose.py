@@ -126,10 +126,7 @@ def solved(
             chosen = choose_motors(current, offered)
             arm = arm_of((*stated, *chosen))
             current = answer(noise) if chosen else current
-    evidence = link_evidence(current)
-    if evidence is not None:
-        question = replace(question, link_scales=average_scales(evidence))
-    current = answer(current.noise, possible=True)
+    current = with_links_of(current, torque)
     advance(n_steps)
     return current
 
@@ -142,16 +139,21 @@ def answer_of(fitted: Fit) -> Fit:
     """
     question = replace(fitted.question, usual_offsets=True, link_scales=AS_STATED)
     torque = fitted.sums.rms_torque
-    current = fitted
-    for is_last in (False, True):
-        terms = arm_question(fitted.arm, question, torque)
-        current = replace(current, question=question).refit(terms, possible=is_last)
-        if not is_last:
-            evidence = link_evidence(current)
-            if evidence is not None:
-                scales = average_scales(evidence)
-                question = replace(question, link_scales=scales)
-    return current
+    terms = arm_question(fitted.arm, question, torque)
+    return with_links_of(replace(fitted, question=question).refit(terms), torque)
+
+
+def with_links_of(fitted: Fit, torque: Array) -> Fit:
+    """Return the fit with the priors of links that the data asks for, and with possible bodies.
+
+    ``torque`` (J,) is the root mean square of each joint's torque that sizes the priors [N m].
+    """
+    question = fitted.question
+    evidence = link_evidence(fitted)
+    if evidence is not None:
+        question = replace(question, link_scales=average_scales(evidence))
+    terms = arm_question(fitted.arm, question, torque)
+    return replace(fitted, question=question).refit(terms, possible=True)
 
 
 def speeds_in(recordings: Sequence[FilteredRecording]) -> Array:
@@ -335,19 +337,13 @@ def coupling(
     motor = Coupling(ratios, text.removeprefix("+"), top=float(top))
     if tendon is None:
         return motor
-    model = robot.mj_model
-    # Tendons have rotor inertia since MuJoCo 3.2.7.
-    zeros = np.zeros(model.ntendon)
-    values = [
-        np.ravel(getattr(model, f"tendon_{term.attribute}", zeros)[tendon])[0]
-        for term in Coupling.terms
-    ]
-    of_model = np.array(values)
-    stated = (each.stated_in(model, "tendon")[[tendon]] for each in POLYNOMIAL)
-    (own,) = stated_top(of_model[[Coupling.terms.index(VISCOUS)]], *stated)
-    own = float(own)
+    motor = replace(motor, tendon=tendon)
+    of_model = [motor.stated(term, robot.mj_model) for term in Coupling.terms]
+    damping = (VISCOUS, *POLYNOMIAL)
+    stated = (np.array([motor.stated(term, robot.mj_model)]) for term in damping)
+    own = float(stated_top(*stated)[0])
     top = max(motor.top, own)
-    return replace(motor, model=of_model, tendon=tendon, top=top, stated_top=own)
+    return replace(motor, model=np.array(of_model), top=top, stated_top=own)
 
 
 def motors_of(

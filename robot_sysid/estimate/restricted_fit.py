@@ -98,26 +98,23 @@ def gravity_in(file: Fit) -> Array | None:
 
 
 def model_file(
-    file: Fit,
-    others: Sequence[ModelErrors] = (),
-    curved_others: Sequence[ModelErrors] = (),
+    file: Fit, logs: Sequence[tuple[Sequence[FilteredRecording], str]] = ()
 ) -> ModelFile:
     """Return what is said of a fitted model file, and of that beside it whose friction bends.
 
     Args:
         file: its fit.
-        others: errors on other logs, of the file that any program reads.
-        curved_others: the same of that whose friction bends.
+        logs: further logs on which it is judged, low-passed, and their names.
     """
     straight = straight_of(file)
     model = offsets_of_model(file)
     curved = None
     if straight is not file:
-        errors = vars(errors_of(file, model))
-        curved = CurvedFile(**errors, others=tuple(curved_others))
+        others = tuple(errors_on(file, *log) for log in logs)
+        curved = CurvedFile(**vars(errors_of(file, model)), others=others)
     return ModelFile(
         **vars(errors_of(straight, model)),
-        others=tuple(others),
+        others=tuple(errors_on(straight, *log) for log in logs),
         gravity=gravity_in(file),
         kept=file.question.options.kept,
         motors=file.arm.motors,

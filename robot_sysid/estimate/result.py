@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
@@ -26,7 +26,6 @@ from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.restricted_fit import (
     bent_owners,
     error_without_rotors,
-    errors_on,
     gravity_in,
     model_file,
     straight_of,
@@ -135,10 +134,7 @@ def link_result(
     links = link_estimates(fitted, file)
     *other_links, last_link = links
     rows = [*fit_quantities(fitted, file, links), *beyond_model(last_link)]
-    straight = straight_of(file)
-    file_tests = [errors_on(straight, *other) for other in others]
-    curved_tests = [errors_on(file, *other) for other in others]
-    written = model_file(file, file_tests, curved_tests)
+    written = model_file(file, others)
     judgement, *on_others = judge_files(written, fitted.arm.model_bends)
     missed = missed_friction(fitted)
     share = fitted.unexplained_share
@@ -431,17 +427,11 @@ def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
         known_to = float(fastest_of(speeds, ratios[owner][None])[0])
         of_speeds = known_to * np.array(CURVE_SHARES)
         columns = friction_columns(arm, owner, of_speeds, loads.get(owner, 0.0))
-        sizes = np.array([*columns.values()])
         model, of_fit, written = (
-            np.array([values.get(key, 0.0) for key in columns]) @ sizes
+            friction_sum(columns, values)
             for values in (arm.model, fitted.by_name, file.by_name)
         )
-        slopes = np.zeros((len(of_speeds), len(fitted.names)))
-        for key, column in columns.items():
-            if key in fitted.names:
-                slopes[:, fitted.at([key])[0]] = column
-        variances = np.einsum("ij,jk,ik->i", slopes, fitted.covariance, slopes)
-        apart = written - of_fit
+        errors = np.hypot(friction_errors(fitted, columns), written - of_fit)
         is_slide = owner in robot.slides
         yield FrictionCurve(
             of=owner,
@@ -451,7 +441,7 @@ def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
             speeds=tuple(of_speeds.tolist()),
             model=tuple(model.tolist()),
             torque=tuple(written.tolist()),
-            errors=tuple(np.sqrt(np.maximum(variances, 0.0) + apart**2).tolist()),
+            errors=tuple(errors.tolist()),
         )
 
 
@@ -519,6 +509,24 @@ def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str
             f"{MODEL_NAMES['mjcf']} {shares[0]}: most readers of URDF know neither rotor inertia, "
             "which stands in its transmissions, nor motors that turn several joints"
         )
+
+
+def friction_sum(columns: Mapping[str, Array], values: Mapping[str, float]) -> Array:
+    """Return the torque (m,) of friction terms, ``friction_columns``, by their values [N m]."""
+    sizes = [values.get(key, 0.0) for key in columns]
+    return np.array(sizes) @ np.array([*columns.values()])
+
+
+def friction_errors(fitted: Fit, columns: Mapping[str, Array]) -> Array:
+    """Return the standard errors (m,) of the torque of friction terms in a fit [N m].
+
+    Terms trade with one another, so that their sum is known better than each.
+    """
+    estimated = [key for key in columns if key in fitted.names]
+    at = fitted.at(estimated)
+    slopes = np.array([columns[key] for key in estimated])
+    covariance = fitted.covariance[at[:, None], at]
+    return np.sqrt(np.maximum(np.sum(slopes * (covariance @ slopes), axis=0), 0.0))
 
 
 def file_quantities(fitted: Fit, file: Fit, source: str) -> Iterator[Quantity]:

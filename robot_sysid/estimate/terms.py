@@ -35,7 +35,7 @@ from robot_sysid.dynamics.friction import (
     POLYNOMIAL,
     TERMS,
     Coupling,
-    stated_top,
+    stated_tops,
     top_speeds,
 )
 from robot_sysid.dynamics.inverse_dynamics import (
@@ -236,8 +236,7 @@ class ArmTerms:
         rigid = without_polynomials(robot, self.motors)
         polynomial = [] if rigid is robot else [term.name for term in POLYNOMIAL]
         self.friction = tuple(dict.fromkeys((*USUAL_FRICTION, *polynomial, *friction)))
-        stated = (term.stated(robot) for term in POLYNOMIAL)
-        self.stated_tops = stated_top(robot.friction.viscous, *stated)
+        self.stated_tops = stated_tops(robot)
         fastest = np.zeros(n) if fastest is None else fastest
         self.tops = np.maximum(
             top_speeds(fastest, stated_speeds(robot)), self.stated_tops
@@ -319,7 +318,8 @@ class ArmTerms:
                 all_motors = (*self.motors, *self._offered)
                 own += tuple(TERMS[name].at(motor.name) for motor in all_motors)
                 columns = partial(self._with_motors, name)
-                stated = [stated_at(robot, each, TERMS[name]) for each in all_motors]
+                model = robot.mj_model
+                stated = [each.stated(TERMS[name], model) for each in all_motors]
                 reference = np.append(reference, stated)
             yield Term(FRICTION, own, columns, reference=reference)
         yield from map(self.motor, (*self.motors, *self._offered))
@@ -582,25 +582,18 @@ def stated_speeds(robot: RobotModel) -> Array:
     return robot.stated_speeds
 
 
-def stated_at(robot: RobotModel, motor: Coupling, parameter: Parameter) -> float:
-    """Return the model's value of a motor that turns several joints; 0 where it states none."""
-    if motor.tendon is None or not parameter.attribute:
-        return 0.0
-    return float(parameter.stated_in(robot.mj_model, "tendon")[motor.tendon])
-
-
 def without_polynomials(robot: RobotModel, motors: Sequence[Coupling]) -> RobotModel:
     """Return an arm without nonlinear damping of its joints and motors: terms have it."""
-    tendons = [motor.tendon for motor in motors if motor.tendon is not None]
+    model = robot.mj_model
     stated = [
-        np.concatenate(
-            (term.stated(robot), term.stated_in(robot.mj_model, "tendon")[tendons])
-        )
+        (*term.stated(robot), *(motor.stated(term, model) for motor in motors))
         for term in POLYNOMIAL
     ]
     if not np.any(stated):
         return robot
-    model = copy(robot.mj_model)
+    model = copy(model)
     model.dof_dampingpoly[robot.dof_index] = 0.0
-    model.tendon_dampingpoly[tendons] = 0.0
+    for motor in motors:
+        if motor.tendon is not None:
+            model.tendon_dampingpoly[motor.tendon] = 0.0
     return replace(robot, mj_model=model)

@@ -246,8 +246,8 @@ def judge_file(errors: ModelErrors, data: str = "held-out data") -> Remark:
         return Verdict.NO_BETTER.remark(sentence)
     used = errors.before_as_used, errors.after_as_used
     shares = [each.relative_error or 0.0 for each in used]
-    before, after = (np.sum(each.blocks, axis=1) for each in used)
-    if shares[1] > NEGLIGIBLE and is_clearly_lower(before, after):
+    squares = [np.sum(each.blocks, axis=1) for each in used]
+    if shares[1] > NEGLIGIBLE and is_clearly_lower(*squares):
         return Verdict.NO_BETTER.remark(
             f"torque error of the model on {data}, with the offsets of its sensors, which no file "
             f"holds, counted as errors: {percent(shares[0])} -> {percent(shares[1])}"
@@ -255,9 +255,7 @@ def judge_file(errors: ModelErrors, data: str = "held-out data") -> Remark:
     worse = worse_joints(errors.before, errors.after)
     if worse:
         return Verdict.NO_BETTER.remark(f"{sentence}, but worse at {', '.join(worse)}")
-    is_better = is_clearly_lower(
-        np.sum(errors.after.blocks, axis=1), np.sum(errors.before.blocks, axis=1)
-    )
+    is_better = is_clearly_lower(after, before)
     return (Verdict.BETTER if is_better else Verdict.AS_GOOD).remark()
 
 

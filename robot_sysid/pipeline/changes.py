@@ -29,7 +29,7 @@ from robot_sysid.estimate.choose import answer_of, solved
 from robot_sysid.estimate.fit import Fit, LeftOut
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.result import friction_columns
+from robot_sysid.estimate.result import friction_columns, friction_errors, friction_sum
 from robot_sysid.estimate.terms import (
     DELAY,
     DRIFT,
@@ -361,15 +361,12 @@ def _friction(fitted: Fit) -> Iterator[Change]:
     torques = fitted.sums.rms_torque
     for row, joint in enumerate(arm.joints):
         speed = np.array([rms_speeds[arm.indices[row]]])
-        slopes = np.zeros(len(fitted.names))
-        stated = value = 0.0
         columns = friction_columns(arm, joint, speed, float(torques[row]))
-        for key, column in columns.items():
-            stated += float(column[0]) * arm.model.get(key, 0.0)
-            value += float(column[0]) * fitted.by_name[key]
-            if key in fitted.names:
-                slopes[fitted.at([key])] = column[0]
-        error = max(float(slopes @ fitted.covariance @ slopes), 0.0) ** 0.5
+        stated, value = (
+            float(friction_sum(columns, values)[0])
+            for values in (arm.model, fitted.by_name)
+        )
+        error = float(friction_errors(fitted, columns)[0])
         least = max(SURE * error, OTHER_FRICTION * stated)
         reason = NOT_JUDGED if abs(value - stated) > least else ""
         unit = torque_unit(joint in arm.robot.slides)

@@ -18,8 +18,8 @@ from robot_sysid.records import ITSELF
 from robot_sysid.records.controllers import SIMULATORS
 from robot_sysid.records.file_access import (
     CARD_NAME,
-    CURVED_NAME,
     SIMULATOR_CARD_NAMES,
+    curved_in,
     models_in,
 )
 from robot_sysid.records.messages import Detail, NextStep, percent
@@ -275,7 +275,7 @@ def file_lines(content: Content, files: Sequence[Path]) -> Iterator[str]:
     """
     contents = ", the arm with its payload" if content["payload"] else ""
     start = f"Use this file{contents}"
-    curved = [path for path in files if path.name == CURVED_NAME]
+    curved = curved_in(files)
     for path in models_in(files)[:1]:
         reason = ""
         if curved:
@@ -285,7 +285,7 @@ def file_lines(content: Content, files: Sequence[Path]) -> Iterator[str]:
                 for each in (file["curved"], file)
             ]
             first, call, _ = use_lines(
-                curved[0],
+                curved,
                 start,
                 f" (torque error {shares[0]}; its friction bends with speed, which MuJoCo from "
                 "3.7 on, MuJoCo Warp and mjlab read)",

@@ -222,11 +222,7 @@ def _tendon_changes(
     for motor in result.file.motors if result.file else ():
         ratios = zip(robot.joint_names, motor.ratios.tolist())
         coefficients = {joint: ratio for joint, ratio in ratios if ratio != 0.0}
-        tendons = [] if motor.tendon is None else [motor.tendon]
-        stated = [
-            float(np.sum(term.stated_in(robot.mj_model, "tendon")[tendons]))
-            for term in POLYNOMIAL
-        ]
+        stated = [motor.stated(term, robot.mj_model) for term in POLYNOMIAL]
         numbers, further = _numbers_of(result, motor.name, source, stated)
         yield ElementChange("tendon", motor.tendon, numbers, coefficients, further)
 

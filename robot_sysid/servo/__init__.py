@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig
-from robot_sysid.dynamics.friction import POLYNOMIAL, stated_top
+from robot_sysid.dynamics.friction import stated_tops
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.export import (
     Written,
@@ -191,9 +191,7 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
 
 def refuse_bends(robot: RobotModel) -> None:
     """Raise InputError where friction of a model bends: other damping beside it would fall."""
-    stated = (term.stated(robot) for term in POLYNOMIAL)
-    tops = stated_top(robot.friction.viscous, *stated)
-    bent = ", ".join(compress(robot.joint_names, tops > 0.0))
+    bent = ", ".join(compress(robot.joint_names, stated_tops(robot) > 0.0))
     if bent:
         raise InputError(
             f"{robot.path}: friction of {bent} bends with speed, and servos are identified beside "

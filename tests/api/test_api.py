@@ -144,7 +144,7 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
         before, after = tests
         return ModelErrors(before, after, before, after)
 
-    monkeypatch.setattr("robot_sysid.estimate.result.errors_on", errors_on)
+    monkeypatch.setattr("robot_sysid.estimate.restricted_fit.errors_on", errors_on)
     other = log[:1200]
     worse = rs.identify(model, workshop / "log.csv", validation_measurements=other)
     assert worse.verdict is Verdict.NO_BETTER
