@@ -203,6 +203,25 @@ def test_an_old_mujoco_gets_the_line_alone_and_a_word(model, folder, monkeypatch
     assert content["verdict"][1].startswith(f"Use this file: {folder / 'old'}")
 
 
+def test_a_curve_that_cannot_be_written_leaves_the_line_and_a_word(folder, monkeypatch):
+    def falling(*numbers):
+        """Return a damping that would drive its joint, which the writer refuses."""
+        return tuple(-number for number in polynomial(*numbers))
+
+    monkeypatch.setattr(written_model, "polynomial", falling)
+    result = rs.identify(folder / "arm.xml", folder / "log.csv")
+    written = [path.name for path in result.save(folder / "refused")]
+    assert STRAIGHT_NAME in written and CURVED_NAME not in written
+    assert not (folder / "refused" / CURVED_NAME).exists()
+    content = schemas.check(folder / "refused" / "params.json")
+    assert content["file"]["curved"]["name"] is None
+    texts = [remark["text"] for remark in content["remarks"]]
+    start = f"{CURVED_NAME} is not written: "
+    assert any(text.startswith(start) and "drive itself" in text for text in texts)
+    use = f"Use this file: {folder / 'refused' / STRAIGHT_NAME}"
+    assert any(line.startswith(use) for line in content["verdict"])
+
+
 def test_the_console_names_the_curve_first_and_who_reads_it(folder):
     lines = json.loads((folder / "params.json").read_text())["verdict"]
     uses = [line for line in lines if "se this file" in line]
