@@ -195,6 +195,21 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
     return np.clip(center, lower, limits.upper - reach - margin), reach
 
 
+def random_sinusoids(joints: int, time: Array, rng: np.random.Generator) -> Motion:
+    """Return sums of sinusoids of 0.1 to 0.6 Hz about zero (N, joints), of size one, at times (N,).
+
+    They have no window: they neither start nor end at rest, and nothing plays them.
+    """
+    frequency, phase, weight = _draw_sinusoids(rng, joints)
+    rate = 2.0 * np.pi * frequency
+    angle = time[:, None, None] * rate + phase
+    sine, cosine = weight * np.sin(angle), weight * np.cos(angle)
+    q, qd, qdd = (
+        np.sum(part, axis=2) for part in (sine, rate * cosine, -(rate**2) * sine)
+    )
+    return Motion(time, q, qd, qdd)
+
+
 def _draw_sinusoids(
     rng: np.random.Generator, joints: int
 ) -> tuple[Array, Array, Array]:
