@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 import robot_sysid.records.usual_errors as usual_errors
+from robot_sysid import spatial
 from robot_sysid.dynamics.friction import BEND, OFFSET, POLYNOMIAL, ROTOR, TERMS
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
-from robot_sysid.estimate.fit import Fit, LeftOut
+from robot_sysid.estimate.fit import Fit, LeftOut, solve
 from robot_sysid.estimate.held_out import error_in, validation, validation_as_used
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import (
@@ -36,7 +37,7 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.records import Array, InertialParameters, Validation
+from robot_sysid.records import Array, InertialParameters, RobotModel, Validation
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.parameters import keys_of
 from robot_sysid.results.record import CurvedFile, ModelErrors, ModelFile
@@ -296,6 +297,39 @@ def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
     return terms
 
 
+def last_link_scale(robot: RobotModel) -> Array:
+    """Return how far off the last link (10,) may be, of which nothing is known: as a link is large.
+
+    That is the model's own, or a usual one of the arm: what is bolted to a flange of 0.2 kg may
+    weigh as much as any other link, but not a hundred times that.
+    """
+    masses = robot.thetas[:, 0]
+    length = robot.length / robot.n_joints
+    usual = spatial.parameter_scale(float(np.mean(masses[masses > 0.0])), length)
+    return np.maximum(robot.prior.scale, usual)
+
+
+def settled_values(fitted: Fit) -> dict[str, float]:
+    """Return the names of all parameters to their values, the last link kept near the model's.
+
+    It is at most as far off as nothing known of it allows (``last_link_scale``): a log in which the
+    last joint stands still lets its inertia free, and noise alone has made it 200 kg m^2.
+    """
+    values = dict(fitted.by_name)
+    terms = {term.key: term for term in fitted.equations.terms}
+    if LAST_LINK not in terms or terms[LAST_LINK].prior is not None:
+        return values
+    term = fitted.arm.terms[LAST_LINK]
+    at = fitted.at(term.names)
+    wide = last_link_scale(fitted.arm.robot) ** -2.0
+    normal = fitted.normal.copy()
+    normal[at, at] += wide
+    _, inverse = solve(normal, fitted.values)
+    pull = inverse[:, at] @ (wide * (term.reference - fitted.values[at]))
+    values.update(zip(fitted.names, (fitted.values + pull).tolist()))
+    return values
+
+
 def _near(estimate: Fit, term: Term) -> Term:
     """Return a term of bodies with the identified numbers and their errors as its prior.
 
@@ -305,9 +339,12 @@ def _near(estimate: Fit, term: Term) -> Term:
     what torques show is left to first moments and inertias.
     """
     at = estimate.at(term.names)
-    values = estimate.values[at]
+    settled = settled_values(estimate)
+    values = np.array([settled[name] for name in term.names])
     bodies = map(InertialParameters, values.reshape(-1, N_INERTIAL))
     wide = np.concatenate([WIDE * body.scale for body in bodies])
+    if term.key == LAST_LINK:
+        wide = last_link_scale(estimate.arm.robot)
     errors = np.minimum(estimate.errors[at], wide) / INTERVAL
     # Conic solvers are slow where they are known exactly.
     errors[::N_INERTIAL] *= 1e-3

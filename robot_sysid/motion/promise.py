@@ -29,7 +29,11 @@ from robot_sysid.dynamics.friction import COULOMB, OFFSET, ROTOR, VISCOUS
 from robot_sysid.estimate.choose import fastest_of, speeds_in
 from robot_sysid.estimate.fit import Fit, solve
 from robot_sysid.estimate.questions import LEAST_DRY
-from robot_sysid.estimate.restricted_fit import straight_of
+from robot_sysid.estimate.restricted_fit import (
+    last_link_scale,
+    settled_values,
+    straight_of,
+)
 from robot_sysid.estimate.rows import Sums
 from robot_sysid.estimate.terms import (
     FRICTION,
@@ -200,27 +204,6 @@ def _padded(normal: Array) -> Array:
     return np.pad(normal, (0, 1))
 
 
-def settled_values(fitted: Fit) -> dict[str, float]:
-    """Return the names of all parameters to their values, the last link kept near the model's.
-
-    It is as far off the model's as it is large, at most: a log in which the last joint stands still
-    lets its inertia free, and noise has made it 200 times as large, and columns with it.
-    """
-    values = dict(fitted.by_name)
-    term = fitted.arm.terms[LAST_LINK]
-    terms = {each.key: each for each in fitted.equations.terms}
-    if LAST_LINK not in terms or terms[LAST_LINK].prior is not None:
-        return values
-    at = fitted.at(term.names)
-    wide = fitted.arm.robot.prior.scale**-2.0
-    normal = fitted.normal.copy()
-    normal[at, at] += wide
-    _, inverse = solve(normal, fitted.values)
-    pull = inverse[:, at] @ (wide * (term.reference - fitted.values[at]))
-    values.update(zip(fitted.names, (fitted.values + pull).tolist()))
-    return values
-
-
 def is_without_rows(fitted: Fit) -> NDArray[np.bool_]:
     """Return which joints with equations (J,) have no row that could be used: they stood still."""
     return np.sum(fitted.sums.counts, axis=0) == 0
@@ -240,11 +223,12 @@ def _without_others(normal: Array, at: NDArray[np.int64]) -> Array:
 def wide_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
     """Yield the names of parameters that a fit lets free, and how large they may be if unknown.
 
-    The last link may be as large as itself; friction and rotors make a share of a joint's torque.
+    The last link may be as far off as a link of the arm is large; friction and rotors make a share
+    of a joint's torque.
     """
     for term in fitted.equations.terms:
         if term.prior is None and term.cause == LAST_LINK:
-            yield from zip(term.names, fitted.arm.robot.prior.scale.tolist())
+            yield from zip(term.names, last_link_scale(fitted.arm.robot).tolist())
         elif term.prior is None and term.cause in (FRICTION, MOTORS):
             yield from _unknown_sizes(fitted, sums, term)
 

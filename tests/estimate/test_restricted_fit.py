@@ -29,6 +29,8 @@ from robot_sysid.estimate.restricted_fit import (
     errors_on,
     fit_file,
     gravity_in,
+    last_link_scale,
+    settled_values,
 )
 from robot_sysid.records import InertialParameters, SubtreeBody
 
@@ -240,3 +242,23 @@ def test_a_last_link_leaves_a_possible_body_beside_its_fingers(robot, recording)
     # So do the bodies that predict each block from the others: their error is that of such files.
     last = file.at(spatial.PARAMETER_NAMES)
     assert all(spatial.is_consistent(values[last] - theta) for values in file.alone)
+
+
+def test_a_last_link_that_nothing_shows_settles_at_the_models(robot, recording):
+    """The log decides where it tells, the model where it does not, whatever noise has made."""
+    fitted = fit_recordings(robot, recording)
+    names = fitted.arm.terms["last link"].names
+    at = fitted.at(names)
+    told = settled_values(fitted)
+    moved = np.array([told[name] for name in names]) - fitted.values[at]
+    assert np.all(np.abs(moved) < 0.2 * fitted.errors[at])
+    # As a link of which noise has made something else, in a log that tells nothing of it.
+    lost = fitted.values.copy()
+    lost[at] += 100.0 * last_link_scale(robot)
+    silent = replace(fitted, values=lost, noise=1e6 * fitted.noise)
+    untold = settled_values(silent)
+    settled = np.array([untold[name] for name in names])
+    off = np.abs(settled - robot.prior.theta) / last_link_scale(robot)
+    assert np.max(off) < 0.01
+    # A flange may carry what a usual link weighs.
+    assert last_link_scale(robot)[0] >= np.mean(robot.thetas[:, 0]) - 1e-9
