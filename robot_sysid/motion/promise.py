@@ -581,8 +581,10 @@ class Promise:
         moved = [name not in self.still for name in self._robot.joint_names]
         joints = [*itertools.compress(self._robot.joint_names, is_fast & moved)]
         if joints:
+            are_all = len(joints) == len(self._robot.joint_names)
+            listed = "all joints" if are_all else ", ".join(joints)
             yield (
-                f"the logs are slow for {', '.join(joints)}: friction at twice their speed and "
+                f"the logs are slow for {listed}: friction at twice their speed and "
                 "more is not measured, and the error on other motions may be up to twice too high"
             )
         offsets = fitted.arm.terms[OFFSET.name].parameters

@@ -227,7 +227,7 @@ def test_slow_logs_are_told_to_be_slow(fits):
 
     fitted, file = fit_of(drawn(3, duration=30.0, move=slowly))
     promise = Promise(fitted)
-    assert "the logs are slow for joint0" in " ".join(promise.limits())
+    assert "the logs are slow for all joints" in " ".join(promise.limits())
     promised = promise.of(file)
     assert promised.at_log_speeds.relative_error < promised.after.relative_error
 
