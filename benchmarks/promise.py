@@ -31,24 +31,45 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from robot_sysid.motion.promise import grams, knowledge_of
+from scipy.stats import spearmanr
 
-from benchmarks.answers import bare_model_text, identify_logs, write_log
+from benchmarks import real_logs
+from benchmarks.answers import bare_model_text, identify_logs, run_command, write_log
+from benchmarks.public_arms import AIRBOT, EMPTY, UR10E_MOTION, cut
 from benchmarks.real_logs import file_torque
 from benchmarks.speed_table import rewrite
 from rigs import wrong_arms
-from rigs.places import MODELS, ROOT
+from rigs.places import DATA, MODELS, ROOT
 from rigs.wrong_arms import RATE, WrongArm, draw_arm, noise_samples
+from robot_sysid.api.calls import identify, read_log
+from robot_sysid.diagnosis.gate import judge as diagnose
+from robot_sysid.diagnosis.gate import usable
+from robot_sysid.dynamics.friction import OFFSET
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.restricted_fit import fit_file
+from robot_sysid.estimate.terms import DELAY
+from robot_sysid.model.compilation import compile_model
 from robot_sysid.motion.elsewhere import made_up_motions, within_range
-from robot_sysid.motion.trajectories import at_speed
+from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records import Array, Motion, Recording, RobotModel
 from robot_sysid.records.file_access import curved_in, models_in
+from robot_sysid.records.messages import Progress
+from robot_sysid.signals.process import FilteredRecording, low_pass_recordings
+from robot_sysid.signals.resampling import split_at_gaps
+from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import generate_excitation_trajectory, random_sinusoids
 
 PAGE = ROOT / "docs" / "evidence.md"
@@ -67,7 +88,7 @@ DURATIONS = (3.0, 60.0)
 """Of the shortest and of the longest log [s]; their logarithms are uniform."""
 SLOWER = 0.3
 """Speed of slow logs, and size of small ones, over the usual."""
-OFFSET = 0.04
+SENSOR_OFFSET = 0.04
 """Standard deviation of a torque sensor's offset, over the largest torque of its joint."""
 FASTEST = 2.0
 """Highest speed of the motions on which files are judged, where no limit is lower [rad/s]."""
@@ -79,6 +100,12 @@ AFTER = ("after", "at_log_speeds")
 """Names of errors of a file: on fast motions, and on those as slow as its log."""
 WITHIN = (0.5, 1.5)
 """Ratios of actual to promised errors between which a promise is kept."""
+PARTS = ("simulated", "real", "second", "plan")
+"""Of the benchmark."""
+NARROW = ("slow", "small", "three joints")
+"""Kinds of logs to which a second one is added."""
+FEW = 20
+"""Most second logs, and plans: a plan takes as long as ten logs."""
 Row = dict[str, Any]
 """A result, as a line of JSON."""
 
@@ -215,7 +242,9 @@ class Draw:
         truth = draw_arm(robot, deviation, has_sensors, 12.0, white, seed, move)
         largest = np.max(np.abs(truth.rigid), axis=0)
         has_offsets = bool(rng.random() < 1.0 / 3.0)
-        offset = OFFSET * has_offsets * largest * rng.standard_normal(robot.n_joints)
+        offset = (
+            SENSOR_OFFSET * has_offsets * largest * rng.standard_normal(robot.n_joints)
+        )
         friction = truth.arm.coulomb / (0.1 if has_sensors else 1.0)
         about = {
             "seed": seed,
@@ -246,7 +275,7 @@ class Draw:
 
 
 def judged(
-    folder: Path, model: Path, logs: Sequence[Path], judge: Judge, like_log: Judge
+    folder: Path, model: Path, logs: Sequence[Path], judges: Mapping[str, Judge]
 ) -> Row:
     """Return what ``identify`` promises of its file, and what judges find.
 
@@ -254,10 +283,10 @@ def judged(
         folder: for the results.
         model: as it came.
         logs: of its arm.
-        judge, like_log: on the usual motions, and on those as slow as the logs.
+        judges: name of each error of a file in ``AFTER``, to who finds it.
     """
     answer, said = identify_logs(folder, model, logs)
-    row: Row = {"before": judge.errors(model), "refused": ""}
+    row: Row = {"before": judges["after"].errors(model), "refused": ""}
     written = [*(folder / "results").glob("*.xml")]
     models = models_in(written)
     if answer is None or not models:
@@ -267,18 +296,14 @@ def judged(
     path = curved or models[0]
     file = answer["file"]["curved"] if curved else answer["file"]
     elsewhere = file.get("elsewhere")
-    row.update(
-        trusted=answer["valid"]["trustworthy"],
-        after=judge.errors(path),
-        at_log_speeds=like_log.errors(path),
-        held_out=[file[name]["relative_error"] for name in ("before", "after")],
-        promised={
-            name: elsewhere[name]["relative_error"] for name in ("before", *AFTER)
-        }
-        if elsewhere
-        else None,
-        next=elsewhere and elsewhere.get("next"),
-    )
+    for name, judge in judges.items():
+        row[name] = judge.errors(path)
+    row["trusted"] = answer["valid"]["trustworthy"]
+    row["held_out"] = file["after"]["relative_error"]
+    row["promised"] = elsewhere and {
+        name: elsewhere[name]["relative_error"] for name in ("before", *AFTER)
+    }
+    row["next"] = elsewhere and elsewhere["next"]
     return row
 
 
@@ -288,13 +313,264 @@ def simulated(seed: int) -> Row:
     motion = draw.motion()
     highest = highest_speeds(draw.arm.robot)
     fastest = np.clip(np.max(np.abs(motion.qd), axis=0), SLOWEST, highest)
-    judges = Judge(draw.arm), Judge(draw.arm, fastest)
+    judges = {"after": Judge(draw.arm), "at_log_speeds": Judge(draw.arm, fastest)}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         log = folder / "log.csv"
         draw.write_log(log, motion)
-        row = judged(folder, draw.write_model(folder), [log], *judges)
+        row = judged(folder, draw.write_model(folder), [log], judges)
     return {**draw.about, **row}
+
+
+# ---- planned motions
+
+
+def write_planned(draw: Draw, folder: Path, model: Path, *words: str) -> Row | None:
+    """Write the log ``planned.csv`` of a motion of ``plan``, and return that command's answer.
+
+    It is None where the motion is not written.
+    """
+    path = folder / "planned.json"
+    files = ("--save-trajectory", path, "--output-dir", folder / "planned")
+    seed = str(draw.about["seed"])
+    _, said, _ = run_command("plan", model, *words, "--seed", seed, *files, "--json")
+    if not path.exists():
+        return None
+    plan = load_trajectory(path).plan
+    motion = plan.evaluate(np.arange(round(RATE * plan.duration)) / RATE)
+    draw.write_log(folder / "planned.csv", motion)
+    return json.loads(said)
+
+
+def second(first: Row) -> Row:
+    """Return what a result of ``simulated`` promises of a second log, and what it is then."""
+    draw = Draw.of(first["seed"])
+    words = first["next"]["plan"]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        model = draw.write_model(folder)
+        log = folder / "log.csv"
+        draw.write_log(log, draw.motion())
+        if write_planned(draw, folder, model, *words) is None:
+            return {**draw.about, "words": words, "refused": "no motion"}
+        logs = [log, folder / "planned.csv"]
+        row = judged(folder, model, logs, {"after": Judge(draw.arm)})
+    proposed = first["next"]["relative_error"]
+    return {**draw.about, "words": words, "proposed": proposed, **row}
+
+
+def planned(seed: int) -> Row:
+    """Return what ``plan`` promises of the file of a log of its motion, and what it is then."""
+    draw = Draw.of(seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        model = draw.write_model(folder)
+        answer = write_planned(draw, folder, model)
+        if answer is None:
+            return {**draw.about, "refused": "no motion"}
+        logs = [folder / "planned.csv"]
+        row = judged(folder, model, logs, {"after": Judge(draw.arm)})
+    elsewhere = answer.get("elsewhere")
+    return {**draw.about, "planned": elsewhere and elsewhere["after"], **row}
+
+
+# ---- logs of real arms
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of a log of a real arm.
+
+    Attributes:
+        files: of the log.
+        begin, end: of the part, as shares of the motion.
+        motion: when the motion begins and ends [s].
+    """
+
+    files: tuple[str, ...]
+    begin: float = 0.0
+    end: float = 1.0
+    motion: tuple[float, float] = (0.0, np.inf)
+
+    def of(self, model: Path, options: Mapping[str, Any]) -> Row:
+        """Return the samples, by name."""
+        paths = [DATA / file for file in self.files]
+        reading = {key: options[key] for key in ("columns",) if key in options}
+        log = read_log(paths if len(paths) > 1 else paths[0], model, **reading)
+        start, stop = self.motion[0], min(self.motion[1], log.time[-1])
+        edges = (start + share * (stop - start) for share in (self.begin, self.end))
+        return cut(log, *edges)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two logs of a real arm: one makes a file, the other one judges it.
+
+    Attributes:
+        name: of the pair.
+        model: of the arm.
+        first, other: the logs.
+        options: of ``identify``.
+        is_loaded: whether the arm carries something in the other log alone, which is fitted there.
+    """
+
+    name: str
+    model: str
+    first: Stretch
+    other: Stretch
+    options: Mapping[str, Any] = field(default_factory=dict)
+    is_loaded: bool = False
+
+
+def parted(
+    name: str,
+    model: str,
+    *files: str,
+    share: float = 0.8,
+    motion: tuple[float, float] = (0.0, np.inf),
+    **options: Any,
+) -> Pair:
+    """Return the pair of the first share of a log's motion and the rest."""
+    first = Stretch(files, 0.0, share, motion)
+    return Pair(name, model, first, replace(first, begin=share, end=1.0), options)
+
+
+RUNS = [Stretch((f"kuka_lwr4/lwr4_hw{run}_200Hz.csv",)) for run in (1, 2, 3)]
+PAIRS = (
+    *(
+        Pair(f"KUKA LWR4+, run {i + 1} on {j + 1}", real_logs.KUKA, RUNS[i], RUNS[j])
+        for i, j in permutations(range(3), 2)
+    ),
+    Pair(
+        "UR10e, empty on loaded, the payload fitted",
+        real_logs.UR10E,
+        Stretch((real_logs.EMPTY,), motion=UR10E_MOTION),
+        Stretch((real_logs.LOADED,), motion=UR10E_MOTION),
+        is_loaded=True,
+    ),
+    parted("UR10e", real_logs.UR10E, real_logs.EMPTY, motion=UR10E_MOTION),
+    parted("UR10e, loaded", real_logs.UR10E, real_logs.LOADED, motion=UR10E_MOTION),
+    parted("TX40", real_logs.TX40, "tx40/tx40_500Hz.csv", motion=(0.0, 7.66)),
+    parted(
+        "AIRBOT",
+        f"{AIRBOT}/airbot.urdf",
+        *EMPTY.split(),
+        share=0.7,
+        columns="rate = 100",
+    ),
+    parted(
+        "AR5",
+        "published/ar5/ar5.urdf",
+        "published/ar5/real.csv",
+        share=0.7,
+        gravity=(1.0, 0.0, 0.0),
+    ),
+)
+"""Those that ``benchmarks.public_arms`` has too are parted as there."""
+
+
+def real(pair: Pair) -> Row:
+    """Return what is promised of a file on another log, and how well it keeps that."""
+    path = DATA / pair.model
+    first = pair.first.of(path, pair.options)
+    options = {key: value for key, value in pair.options.items() if key != "columns"}
+    result = identify(path, first, **options)
+    robot = result.robot
+    with tempfile.TemporaryDirectory() as folder:
+        models = [p for p in result.save(folder) if p.suffix in (".xml", ".urdf")]
+        file = compile_model(curved_in(models) or models[0]).mj_model
+        other = recording_of(pair.other.of(path, pair.options))
+        pieces, _ = low_pass_recordings(robot, split_at_gaps(other), result.cutoff)
+        before, after = (
+            errors_on(model, robot, pieces, pair.is_loaded)
+            for model in (copy(robot.mj_model), file)
+        )
+    promised = promised_on(robot, recording_of(first), pieces, pair.is_loaded)
+    elsewhere = (result.file.curved or result.file).elsewhere
+    return {
+        "before": before,
+        "after": after,
+        "promised": promised,
+        "elsewhere": elsewhere and elsewhere.after.relative_error,
+    }
+
+
+def recording_of(samples: Row) -> Recording:
+    """Return samples as a log."""
+    return Recording(samples["time"], samples["q"], None, samples["tau"])
+
+
+def errors_on(
+    model: Any, robot: RobotModel, pieces: Sequence[FilteredRecording], is_loaded: bool
+) -> Errors:
+    """Return the errors of a model on a log that did not make it.
+
+    Args:
+        model: compiled by MuJoCo.
+        robot: the arm.
+        pieces: of the log.
+        is_loaded: whether the arm carries something, which is fitted to this log.
+    """
+    off, torque, payload, constants = [], [], [], []
+    for piece in pieces:
+        use = piece.used
+        predicted = piece.filter_columns(partial(file_torque, model, robot))
+        columns = piece.filter_columns(partial(flange_columns, robot))
+        off.append((piece.torque - predicted)[use])
+        torque.append(piece.torque[use])
+        payload.append(columns[use] * is_loaded)
+        ones = np.broadcast_to(np.eye(robot.n_joints), (*use.shape, robot.n_joints))
+        constants.append(ones[use])
+    residual = np.concatenate(off)
+    carried = np.concatenate(payload)
+    size = np.linalg.norm(np.concatenate(torque))
+    left = (
+        residual - free @ np.linalg.lstsq(free, residual, rcond=None)[0]
+        for free in (np.hstack((carried, np.concatenate(constants))), carried)
+    )
+    return Errors(*(float(np.linalg.norm(rest) / size) for rest in left))
+
+
+def flange_columns(robot: RobotModel, motion: Motion) -> Array:
+    """Return the torque (N, n, 10) per parameter of the last link."""
+    moves = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd)
+    return moves.columns([robot.n_joints - 1])
+
+
+def promised_on(
+    robot: RobotModel,
+    log: Recording,
+    pieces: Sequence[FilteredRecording],
+    is_loaded: bool,
+) -> Errors:
+    """Return the errors that are promised of a log's file in the motion of another log.
+
+    The arguments are those of ``errors_on``, and the log that makes the file.
+    """
+    question = Question(EstimationOptions())
+    fitted, _ = usable(diagnose(robot, [log], question, Progress()), (), Progress())
+    held = fit_file(fitted).by_name
+    terms = fitted.arm.of(t for t in fitted.arm.terms.values() if t.cause != DELAY)
+    unknown = [
+        piece.using(piece.used, tau=0.0 * piece.tau, _kept={}) for piece in pieces
+    ]
+    sums = terms.sums(unknown, fitted.point, in_blocks=False)
+    known = knowledge_of(fitted, sums)
+    offsets = np.isin(sums.names, [OFFSET.key_of(joint) for joint in sums.joints])
+    payload = np.isin(sums.names, PARAMETER_NAMES) & is_loaded
+    gram = sum(grams(sums))
+    torque = np.append(np.where(offsets, 0.0, known.values), -1.0)
+    apart = known.values - [
+        0.0 if is_offset else held.get(name, 0.0)
+        for name, is_offset in zip(sums.names, offsets)
+    ]
+    shares = []
+    for free in (offsets | payload, payload):
+        rest = gram[:-1, :-1]
+        rest = rest - rest[:, free] @ np.linalg.pinv(rest[free][:, free]) @ rest[free]
+        squares = apart @ rest @ apart + np.sum(known.covariance() * rest)
+        shares.append(float(np.sqrt(squares / (torque @ gram @ torque))))
+    return Errors(*shares)
 
 
 # ---- tables
@@ -334,7 +610,7 @@ def simulated_table(rows: Sequence[Row]) -> list[str]:
             pairs = [(max(row[name]), row["promised"][name]) for row in promised]
             lines.append(f"| {group} | {name} | {len(pairs)} {ratio_cells(pairs)}|")
         answered = [row for row in members if "after" in row]
-        pairs = [(max(row["after"]), row["held_out"][1]) for row in answered]
+        pairs = [(max(row["after"]), row["held_out"]) for row in answered]
         title = "after, over the one held out"
         lines.append(f"| {group} | {title} | {len(pairs)} {ratio_cells(pairs)}|")
     return [*lines, "", *unpromised_lines(rows)]
@@ -368,14 +644,68 @@ def line_of(row: Row) -> str:
     if row["refused"]:
         return f"{words}  refused: {row['refused'][:90]}"
     before, after = max(row["before"]), max(row["after"])
-    words += (
-        f"  is {percents(before, after)}, held out {100.0 * row['held_out'][1]:.3g} %"
-    )
+    words += f"  is {percents(before, after)}, held out {100.0 * row['held_out']:.3g} %"
     if row["promised"]:
         promised = row["promised"]
         words += f", promised {percents(promised['before'], promised['after'])}"
         words += f", ratio {after / promised['after']:.2f}"
     return words
+
+
+def real_table(rows: Mapping[str, Row]) -> list[str]:
+    """Return the lines of the table on logs of real arms."""
+    lines = [
+        "| File of, judged on | model as it came | file | promised for that motion | ratio "
+        "| promised all over the range |",
+        "| --- " * 6 + "|",
+    ]
+    for name, row in rows.items():
+        for key, place in (("out", 0), ("left in", 1)):
+            cells = [row[which][place] for which in ("before", "after", "promised")]
+            ratio = cells[1] / cells[2]
+            shares = [f"{100.0 * cell:.3g} %" for cell in cells]
+            all_over = f"{100.0 * row['elsewhere']:.3g} %" if row["elsewhere"] else ""
+            words = [f"{name}, offsets {key}", *shares, f"{ratio:.2f}", all_over]
+            lines.append(f"| {' | '.join(words)} |")
+    return lines
+
+
+def second_table(firsts: Sequence[Row], rows: Sequence[Row]) -> list[str]:
+    """Return the lines of the table on second logs, ``firsts`` the results before them."""
+    both = [
+        (first, row)
+        for first, row in zip(firsts, rows)
+        if not row["refused"] and row["proposed"]
+    ]
+    pairs = [(max(row["after"]), row["proposed"]) for _, row in both]
+    gains = [max(row["after"]) / max(first["after"]) for first, row in both]
+    promised = [row["proposed"] / first["promised"]["after"] for first, row in both]
+    return [
+        f"| Second logs, as proposed | files {RATIO_TITLES}|",
+        "| --- " * 6 + "|",
+        f"| error of the file of both logs | {len(pairs)} {ratio_cells(pairs)}|",
+        "",
+        f"Over that of the first log's file: {np.median(gains):.2f} in the median, promised "
+        f"{np.median(promised):.2f}.",
+    ]
+
+
+def planned_table(rows: Sequence[Row]) -> list[str]:
+    """Return the lines of the table on what ``plan`` promises."""
+    pairs = [
+        (max(row["after"]), row["planned"])
+        for row in rows
+        if not row["refused"] and row["planned"]
+    ]
+    lines = [
+        f"| What a plan promises | files {RATIO_TITLES}|",
+        "| --- " * 6 + "|",
+        f"| error of the file of its log | {len(pairs)} {ratio_cells(pairs)}|",
+    ]
+    if pairs:
+        correlation = spearmanr(*zip(*pairs)).statistic
+        lines += ["", f"Their ranks have the correlation {correlation:.2f}."]
+    return lines
 
 
 class Results:
@@ -402,24 +732,52 @@ class Results:
         return self._rows[part, key]
 
 
+def tables(parts: Sequence[str], seeds: range, results: Results) -> Iterator[list[str]]:
+    """Yield the lines of each part's table."""
+    firsts = []
+    if {"simulated", "second"} & {*parts}:
+        for seed in seeds:
+            row = results.of("simulated", seed, partial(simulated, seed))
+            firsts.append(row)
+            print(line_of(row), file=sys.stderr, flush=True)
+    if "simulated" in parts:
+        yield simulated_table(firsts)
+    if "real" in parts:
+        yield real_table(
+            {
+                pair.name: results.of("real", pair.name, partial(real, pair))
+                for pair in PAIRS
+            }
+        )
+    if "second" in parts:
+        narrow = [row for row in firsts if row["kind"] in NARROW and row.get("next")]
+        narrow = narrow[:FEW]
+        rows = [
+            results.of("second", row["seed"], partial(second, row)) for row in narrow
+        ]
+        yield second_table(narrow, rows)
+    if "plan" in parts:
+        yield planned_table(
+            [results.of("plan", seed, partial(planned, seed)) for seed in seeds[:FEW]]
+        )
+
+
 def main() -> int:
     """Print the tables; write them where that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", default=["simulated"])
+    parser.add_argument("parts", nargs="*", metavar="PART")
     parser.add_argument("--files", type=int, default=100)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
-    results = Results(options.rows)
-    rows = []
-    for seed in range(options.first_seed, options.first_seed + options.files):
-        rows.append(results.of("simulated", seed, lambda seed=seed: simulated(seed)))
-        print(line_of(rows[-1]), file=sys.stderr, flush=True)
-    lines = simulated_table(rows)
-    print("\n".join(lines))
+    seeds = range(options.first_seed, options.first_seed + options.files)
+    lines: list[str] = []
+    for table in tables(options.parts or PARTS, seeds, Results(options.rows)):
+        print("\n".join([*table, ""]), flush=True)
+        lines += [*table, ""]
     if options.write:
-        rewrite(PAGE, BEGIN, END, lines)
+        rewrite(PAGE, BEGIN, END, lines[:-1])
     return 0
 
 
