@@ -27,6 +27,7 @@ from robot_sysid.results.record import (
     MODEL,
     CurvedFile,
     FrictionCurve,
+    NextMotion,
     Quantity,
     Verdict,
 )
@@ -68,12 +69,24 @@ CURVE = FrictionCurve(
     torque=(0.41, 0.55, 0.6),
     errors=(0.01, 0.012, 0.02),
 )
+SLOW = made.model_file(
+    others=(),
+    elsewhere=made.elsewhere(
+        0.2,
+        faster="j6",
+        still=("j5",),
+        for_like_motions=True,
+        next=NextMotion(("--duration", "60"), 0.1),
+    ),
+)
 UNSEEN = made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL)
 RESULTS = {
     "every link, with its file": made.whole(),
     "last link": made.found(validation=(made.validation_of(0.05),)),
     "mass not shown": UNSEEN,
     "mass not known": made.found(made.with_value("m", 2.0, 1.2), file=FILE),
+    "slow log": made.found(file=SLOW),
+    "no promise": made.found(file=made.model_file(others=(), elsewhere=None)),
     "friction that bends": made.found(
         file=BENT, curves=(CURVE,), tops={"j5": 1.0, "j6": 1.5}
     ),

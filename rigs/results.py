@@ -32,9 +32,12 @@ from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
     BodyEstimate,
+    Elsewhere,
+    ErrorPart,
     Identification,
     ModelErrors,
     ModelFile,
+    MotionErrors,
     Payload,
     Quantity,
     Verdict,
@@ -225,6 +228,26 @@ def payload(own=None, torque_scale=(), **changes):
     return found(question=PAYLOAD, payload=payload_record, total=total, **changes)
 
 
+def elsewhere(after=0.03, of_log=0.025, **changes):
+    """What is expected on other motions of a model that is 35 % off there before."""
+    before, after, of_log = (
+        MotionErrors(error, {"j5": error, "j6": 1.2 * error})
+        for error in (0.35, after, of_log)
+    )
+    expected = Elsewhere(
+        speed=2.0,
+        speed_unit="rad/s",
+        before=before,
+        after=after,
+        at_log_speeds=of_log,
+        parts=(
+            ErrorPart("friction of j5", 0.02),
+            ErrorPart("mass and centre of link5", 0.01),
+        ),
+    )
+    return replace(expected, **changes)
+
+
 def model_file(**changes):
     """What is said of a written model that predicts torques to 0.25 % instead of 27 %."""
     of_other = [validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)]
@@ -236,6 +259,7 @@ def model_file(**changes):
         others=(ModelErrors(*of_other, *of_other),),
         gravity=np.array([0.0, 0.1, -9.8]),
         kept=("rotor inertia",),
+        elsewhere=elsewhere(),
     )
     return replace(file, **changes)
 

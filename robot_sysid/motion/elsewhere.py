@@ -78,12 +78,14 @@ def sums_elsewhere(
         is_loaded: whether the arm carries the payload.
     """
     terms = arm.of(term for term in arm.terms.values() if term.cause != DELAY)
+    # One after the other: no column depends on the rows beside its own.
+    parts = zip(*((motion.q, motion.qd, motion.qdd) for motion in motions))
+    states = [np.concatenate(part) for part in parts]
+    nothing = np.zeros_like(states[0])
+    motion = Motion(np.arange(len(nothing)) / RATE, *states)
     unfiltered = LowPass(RATE, RATE, np.ones(1), 1)
-    recordings = []
-    for motion in motions:
-        nothing = np.zeros_like(motion.q)
-        recording = FilteredRecording.exact(
-            motion, nothing, unfiltered, is_loaded=is_loaded
-        )
-        recordings.append(recording.using(np.ones_like(nothing, dtype=bool)))
-    return terms.sums(recordings, point, in_blocks=False)
+    recording = FilteredRecording.exact(
+        motion, nothing, unfiltered, is_loaded=is_loaded
+    )
+    every_row = np.ones_like(nothing, dtype=bool)
+    return terms.sums([recording.using(every_row)], point, in_blocks=False)

@@ -48,8 +48,9 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "payload {model} --empty {log} --loaded {weight} --known-mass 1 {options} "
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
-    "mass not known": (
-        "Next, plan a motion that shows the mass better, and compare the ± that it promises",
+    "further motion": (
+        "Next, plan a second motion, record it and identify the arm from both logs: on other "
+        "motions the file is then expected to be {expected} off, {now} now",
         "plan {model} {options} --output-dir {folder}/planned",
     ),
     "part bolted on": (

@@ -26,6 +26,7 @@ from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import EMPTY, LOADED
+from robot_sysid.motion.promise import with_promise
 from robot_sysid.records import (
     Array,
     DataOrigin,
@@ -149,7 +150,8 @@ def _result(
 
     def result_of(file: Fit, *sentences: str) -> Identification:
         """Return the result with a fit of the model file."""
-        return link_result(fitted, file, errors, origin, (*notes, *sentences), others)
+        result = link_result(fitted, file, errors, origin, (*notes, *sentences), others)
+        return with_promise(result, fitted, file)
 
     result = result_of(file)
     if not polishes or result.failure:
@@ -227,7 +229,8 @@ def identify_payload(
         file = fit_file(weighed, carried)
     # Scales are those of the log before its torques were divided by known ones.
     divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
-    return payload_result(fitted, weighed, file, flange, origin, notes, divided)
+    result = payload_result(fitted, weighed, file, flange, origin, notes, divided)
+    return result if file is None else with_promise(result, fitted, file)
 
 
 def order_positions(logs: Sequence[Recording], order: str | None) -> Array | None:

@@ -33,7 +33,7 @@ from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
 from robot_sysid.records.data import FitQuality
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
-from robot_sysid.records.messages import Detail, NextStep, Progress, says
+from robot_sysid.records.messages import Detail, NextStep, Progress, percent, says
 from robot_sysid.records.option_fields import given_values
 from robot_sysid.results.quantities import (
     BEYOND,
@@ -48,12 +48,16 @@ from robot_sysid.results.record import (
     Quantity,
     Verdict,
 )
-from robot_sysid.results.table import KNOWN
 from robot_sysid.results.verification import CHECKPOINTS
+from robot_sysid.results.written_model import can_bend
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import TERMINAL_FRICTION, LastLinkTerms, identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
 from robot_sysid.wording import option_name
+
+WELL_WEIGHED = 20.0
+"""Standard errors of what is bolted on from which weighing it by difference, to 1 to 5 %, gains
+little."""
 
 
 def run(config: Config, progress: Progress | None = None) -> Written:
@@ -226,16 +230,30 @@ def step_after_run(config: Config, result: Identification) -> NextStep | None:
         return step_after("torque scales known", values, log=empty, scales=scales)
     parts = [result.quantity(name, BEYOND) for name in (MOMENT, "mass")]
     ratios = [part.value / part.error for part in parts if part and part.error]
-    if isinstance(config, IdentifyConfig) and max(ratios, default=0.0) >= INTERVAL:
-        # Weighing it by difference, to 1 to 5 %, gains little.
-        if ratios[-1] > 20.0:
-            return None
+    is_there = max(ratios, default=0.0) >= INTERVAL
+    if isinstance(config, IdentifyConfig) and is_there and ratios[-1] <= WELL_WEIGHED:
         logs = config.log.measurements
         values = {**vars(config.model), **vars(config.log)}
         return step_after("part bolted on", values, log=logs, folder=folder)
-    if result.body.errors[0] < KNOWN * result.body.mass:
+    return _step_to_further_motion(config, result)
+
+
+def _step_to_further_motion(config: Config, result: Identification) -> NextStep | None:
+    """Return the second motion that makes the written file better elsewhere, or None."""
+    if result.file is None:
         return None
-    return step_after("mass not known", arm, folder=folder)
+    curved = result.file.curved if can_bend() else None
+    elsewhere = (curved or result.file).elsewhere
+    if elsewhere is None or elsewhere.next is None:
+        return None
+    return step_after(
+        "further motion",
+        vars(config.model),
+        *elsewhere.next.plan,
+        folder=config.output.output_dir,
+        now=percent(elsewhere.after.relative_error),
+        expected=percent(elsewhere.next.relative_error),
+    )
 
 
 def run_self_test(

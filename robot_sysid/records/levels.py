@@ -21,3 +21,6 @@ nothing shows a zero of 9 ± 2 or 13 ± 3 degrees, which is its friction."""
 UNEXPLAINED = 0.05
 """Share of all torque that neither model nor noise explains, above which a result is not
 trustworthy: logs of right models have 0.4 to 3 %."""
+LIKE_LOG = 0.5
+"""Share of the model's error on other motions above which that of the written file limits its use
+to motions like the log's: there it is not even twice as good."""

@@ -20,7 +20,7 @@ from robot_sysid.results.record import Identification
 from robot_sysid.results.written_model import can_bend, versions
 from robot_sysid.spatial import PARAMETER_NAMES
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """Version of the format of params.json; readers refuse other versions."""
 Content = Mapping[str, Any]
 """Key to value of params.json, or column to value of one of its rows."""

@@ -46,7 +46,7 @@ from robot_sysid.spatial import PARAMETER_NAMES
 _USE_TEXTS = {
     Verdict.TORQUES_ONLY.name: "Only for torques of motions like the log's, not for the numbers",
     Verdict.AS_GOOD.name: "Usable, but the model was about as good before",
-    Verdict.PARTLY_FROM_MODEL.name: "Usable (not identifiable, model's values kept: {unseen})",
+    Verdict.PARTLY_FROM_MODEL.name: "{usable} (not identifiable, model's values kept: {unseen})",
     Verdict.INERTIA_NOT_KNOWN.name: "Usable for mass and centre of mass (the inertia is not known)",
 }
 
@@ -202,8 +202,40 @@ def verdict_line(content: Content) -> str:
             "says nothing of the real arm"
         )
         return use + (f" (not identifiable: {unseen})" if unseen else "")
-    use = _USE_TEXTS.get(content["status"], "Usable").format(unseen=unseen)
+    file = content["file"]
+    elsewhere = file and _named_first(file)["elsewhere"]
+    usable = "Usable"
+    if elsewhere and elsewhere["for_like_motions"]:
+        usable = "Usable for motions like this log"
+    use = _USE_TEXTS.get(content["status"], "{usable}")
+    use = use.format(usable=usable, unseen=unseen)
     return f"{use}: {'; '.join(_improvements(content))}"
+
+
+def _named_first(file: Content) -> Content:
+    """Return what is said of the file that is named first: that with curves, if it is written."""
+    curved: Content | None = file["curved"]
+    return curved if curved and curved["name"] else file
+
+
+def elsewhere_text(elsewhere: Content) -> str:
+    """Return a phrase on the torque errors to expect of a written model on other motions.
+
+    Where faster motions than the log's make most of the error, it says so, and what to record.
+    """
+    shares = [
+        percent(elsewhere[model]["relative_error"]) for model in ("before", "after")
+    ]
+    speed = f"{elsewhere['speed']:.2g} {elsewhere['speed_unit']}"
+    text = f"on other motions up to {speed} about {' -> '.join(shares)}"
+    lacking = []
+    if elsewhere["faster"]:
+        of_log = percent(elsewhere["at_log_speeds"]["relative_error"])
+        text += f", {of_log} at the log's speeds"
+        lacking.append(f"record faster, mostly {elsewhere['faster']}")
+    if elsewhere["still"]:
+        lacking.append(f"{', '.join(elsewhere['still'])} stood still")
+    return f"{text} ({'; '.join(lacking)})" if lacking else text
 
 
 def before_after_text(tests: Content, kind: str = "") -> str:
@@ -226,12 +258,14 @@ def _improvements(content: Content) -> Iterator[str]:
     if file:
         # A payload is part of both models: the change is that of links and friction.
         load = " with the payload" if payload else ""
-        # That of the file that is named first.
-        first = file["curved"] if file["curved"] and file["curved"]["name"] else file
-        yield (
-            f"torque error{load} on held-out data {before_after_text(first, '_as_used')} as the "
-            f"files are used, {before_after_text(first)} torque offsets aside"
-        )
+        first = _named_first(file)
+        as_used, aside = (before_after_text(first, kind) for kind in ("_as_used", ""))
+        text = f"torque error{load} {as_used} here"
+        if aside != as_used:
+            text += f" ({aside} torque offsets aside)"
+        yield text
+        if first["elsewhere"]:
+            yield elsewhere_text(first["elsewhere"])
     if payload and payload["known_mass"]:
         yield "torque scales follow from the known mass"
         return

@@ -227,7 +227,9 @@ def test_the_console_names_the_curve_first_and_who_reads_it(folder):
     uses = [line for line in lines if "se this file" in line]
     assert CURVED_NAME in uses[0] and "MuJoCo from 3.7 on, MuJoCo Warp" in uses[0]
     assert f"{STRAIGHT_NAME} (" in uses[1]
-    assert lines[0].startswith("Usable: torque error on held-out data ")
+    assert lines[0].startswith("Usable: torque error ")
+    promise = json.loads((folder / "params.json").read_text())["file"]["curved"]
+    assert promise["elsewhere"]["after"]["relative_error"] > 0.0
 
 
 def test_a_curved_model_is_refitted_and_a_log_of_it_is_told_from_nothing(folder):

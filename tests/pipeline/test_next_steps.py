@@ -18,6 +18,8 @@ WORDS = {
     "scales": "1.1",
     "trajectory": "damiao_trajectory.csv",
     "folder": Path("out"),
+    "now": "13 %",
+    "expected": "3 %",
 }
 
 

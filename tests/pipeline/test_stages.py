@@ -26,7 +26,7 @@ from robot_sysid.pipeline.stages import (
 )
 from robot_sysid.records import ITSELF, Motion
 from robot_sysid.results.quantities import BEYOND, MOMENT
-from robot_sysid.results.record import Quantity, Verdict
+from robot_sysid.results.record import NextMotion, Quantity, Verdict
 from robot_sysid.trajectory import CHUNK
 
 XML = arms.serial_arm(
@@ -177,10 +177,25 @@ def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
     assert self_test_verdict(scale, error, quality) is expected
 
 
+def test_a_second_motion_is_proposed_where_it_makes_the_file_better():
+    """Its figure stands in the sentence, and the command is that of ``plan``."""
+    further = NextMotion(("--duration", "60"), 0.031)
+    options = IdentifyConfig.of("arm.xml", measurements=("log.csv",), units="deg")
+    proposed = results.elsewhere(0.13, next=further)
+    step = step_after_run(
+        options, results.found(file=results.model_file(elsewhere=proposed))
+    )
+    assert "3.1 % off, 13 % now" in step.sentence
+    assert step.command[1:5] == ("plan", "arm.xml", "--duration", "60")
+    for nothing in (results.elsewhere(0.13), None):
+        file = results.model_file(elsewhere=nothing)
+        assert step_after_run(options, results.found(file=file)) is None
+
+
 @pytest.mark.parametrize(
     ("part", "error", "moment_error", "command"),
     [
-        (0.8, 1.2, 0.12, "plan"),
+        (0.8, 1.2, 0.12, None),
         (0.8, 0.2, 0.02, "payload"),
         (0.3, 0.2, 0.02, None),
         (-0.8, 0.2, 0.02, None),

@@ -1,0 +1,249 @@
+"""What is promised of a file on other motions is what it then does there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rigs import arms
+from rigs import results as made
+from rigs.core_fits import fit_recordings
+from rigs.wrong_arms import draw_arm
+from robot_sysid.dynamics.friction import OFFSET
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.estimate.restricted_fit import fit_file
+from robot_sysid.estimate.rows import Rows
+from robot_sysid.motion.elsewhere import made_up_motions, sums_elsewhere
+from robot_sysid.motion.promise import (
+    Promise,
+    expected_squares,
+    knowledge_of,
+    parts_of,
+    with_promise,
+)
+from robot_sysid.records import Motion, Recording
+from robot_sysid.results.record import Verdict
+from robot_sysid.signals.process import low_pass_recordings
+from robot_sysid.solver import exact_recording
+
+MODEL = arms.robot_of(
+    arms.serial_arm(
+        (arms.Z, arms.Y, arms.Y, arms.X),
+        joint='range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"',
+    )
+)
+SPEEDS = MODEL.limits.velocity
+OFFSETS = [OFFSET.key_of(joint) for joint in MODEL.joint_names]
+
+
+def drawn(seed, duration=15.0, move=None):
+    """Return an arm that is as far off its model as real ones, with its log."""
+    return draw_arm(MODEL, "real", False, duration, True, seed, move)
+
+
+def with_still_joint(plan, _):
+    """Return the motion of a plan in which the third joint stands still."""
+    motion = plan.evaluate(np.arange(round(250.0 * plan.duration)) / 250.0)
+    moves = np.array([1.0, 1.0, 0.0, 1.0])
+    q = np.where(moves, motion.q, MODEL.reference)
+    return Motion(motion.time, q, moves * motion.qd, moves * motion.qdd)
+
+
+def fit_of(truth):
+    """Return the fit of all terms, and that of the file, of a drawn arm's log."""
+    log = replace(truth.log, name="log")
+    recordings, _ = low_pass_recordings(MODEL, [log])
+    fitted = fit_recordings(MODEL, recordings)
+    return fitted, fit_file(fitted)
+
+
+def motions_of(seed):
+    """Return made-up motions of the whole range and speed."""
+    return [*made_up_motions(MODEL, SPEEDS, np.random.default_rng(seed))]
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """The fit of all terms of a log, and that of its file."""
+    return fit_of(drawn(3))
+
+
+@pytest.fixture(scope="module")
+def sums(fits):
+    """Sums of made-up motions at the point of the fit."""
+    fitted, _ = fits
+    return sums_elsewhere(fitted.arm, fitted.point, motions_of(5))
+
+
+def torque_of_model(motion):
+    """Return the torque (N, n) of the given model, by Newton and Euler [N m]."""
+    return ArmDynamics(MODEL)(motion)
+
+
+@pytest.mark.parametrize("counts_offsets", [False, True])
+def test_without_errors_the_squares_are_those_of_what_the_model_lacks(
+    fits, sums, counts_offsets
+):
+    """Of an arm that is the model with offsets, judged on the model without friction's half."""
+    fitted, _ = fits
+    known = knowledge_of(fitted, sums)
+    offset = 0.3
+    truth = {**fitted.arm.model, **dict.fromkeys(OFFSETS, offset)}
+    values = np.array([truth.get(name, 0.0) for name in sums.names])
+    held = dict(fitted.arm.model)
+    for joint in MODEL.joint_names:
+        held[f"coulomb[{joint}]"] *= 0.5
+    nothing = np.zeros((len(values), len(values)))
+    squares = expected_squares(
+        replace(known, values=values), held, sums, nothing, counts_offsets
+    )
+    motions = motions_of(5)
+    tau = np.concatenate([*map(torque_of_model, motions)])
+    lacking = 0.2 * np.sign(np.concatenate([motion.qd for motion in motions]))
+    lacking = lacking + offset if counts_offsets else lacking - np.mean(lacking, axis=0)
+    assert_allclose(
+        squares.of_parameters.sum(axis=1), np.sum(lacking**2, axis=0), rtol=1e-9
+    )
+    assert_allclose(squares.torque, np.sum(tau**2, axis=0), rtol=1e-9)
+    of_joint = squares.errors.relative_error_per_joint
+    lacking_share = np.linalg.norm(lacking, axis=0) / np.linalg.norm(tau, axis=0)
+    assert_allclose([of_joint[joint] for joint in sums.joints], lacking_share)
+
+
+def test_squares_of_errors_are_those_of_parameters_drawn_from_them(fits, sums):
+    """tr(C G) is the mean over arms whose parameters differ by C."""
+    fitted, _ = fits
+    known = knowledge_of(fitted, sums)
+    covariance = known.covariance()
+    held = dict(zip(sums.names, known.values.tolist()))
+    squares = expected_squares(known, held, sums, covariance, counts_offsets=True)
+    values, vectors = np.linalg.eigh(covariance)
+    rng = np.random.default_rng(0)
+    draws = rng.standard_normal((3000, len(values)))
+    draws = draws * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    offset_at = sums.at(OFFSETS)
+    # What the model holds of offsets is nothing, so that theirs are errors as a whole.
+    draws[:, offset_at] += known.values[offset_at]
+    padded = np.column_stack((draws, np.zeros(len(draws))))
+    mean = np.mean([sums.squares_of(draw, sums.totals) for draw in padded], axis=0)
+    assert_allclose(squares.of_parameters.sum(axis=1), mean, rtol=0.1)
+
+
+def test_parts_make_up_the_whole(fits, sums):
+    fitted, file = fits
+    known = knowledge_of(fitted, sums)
+    squares = expected_squares(known, file.by_name, sums, known.covariance())
+    parts = parts_of(fitted.arm, sums)
+    assert len(parts) == len(sums.names)
+    listed = squares.largest_parts(parts)
+    assert listed[0].relative_error >= listed[-1].relative_error > 0.0
+    total = np.sum(squares.of_parameters) / np.sum(squares.torque)
+    assert_allclose(squares.errors.relative_error**2, total)
+    assert {part.what for part in listed} <= {*parts}
+
+
+def test_what_a_log_shows_is_known_better_after_it(fits, sums):
+    fitted, _ = fits
+    known = knowledge_of(fitted, sums)
+    before = known.covariance() - known.of_scales
+    after = known.covariance(known.rows(sums, 15.0, known.weights)) - known.of_scales
+    scale = np.sqrt(np.maximum(np.diag(before), 1e-300))
+    less = (before - after) / np.outer(scale, scale)
+    assert np.min(np.linalg.eigvalsh(less)) > -1e-6
+    assert np.max(np.diag(less)) > 0.5
+
+
+def test_nothing_known_is_as_wide_as_an_unknown_arm(fits, sums):
+    """What the log lets free is bounded: the last link by itself, friction by the torque."""
+    fitted, _ = fits
+    errors = np.sqrt(np.diag(knowledge_of(fitted, sums).covariance()))
+    by_name = dict(zip(sums.names, errors.tolist()))
+    bodies = zip(fitted.arm.terms["last link"].names, MODEL.prior.scale)
+    assert all(by_name[name] <= 2.0 * size for name, size in bodies)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5, 6])
+def test_a_promise_is_kept(seed):
+    """The file's error against the true arm, on motions of another seed."""
+    truth = drawn(seed)
+    fitted, file = fit_of(truth)
+    promised = Promise(fitted).of(file)
+    arm = truth.arm
+    true = []
+    read = motions_of(100 + seed)
+    for motion in read:
+        rigid, friction = arm.torques(replace(motion, q=motion.q - arm.zeros))
+        true.append(arm.scales * rigid + friction)
+    tau = np.concatenate(true)
+    for values, promise in (
+        (file.arm.model, promised.before),
+        (file.by_name, promised.after),
+    ):
+        off = tau - torque_by_terms(file, read, values)
+        off = off - np.mean(off, axis=0)
+        actual = np.linalg.norm(off) / np.linalg.norm(tau)
+        assert 0.5 < actual / promise.relative_error < 2.0
+    assert promised.after.relative_error < promised.before.relative_error
+    assert not promised.still
+
+
+def torque_by_terms(file, motions, values):
+    """Return the torque (N, n) of what a file holds, offsets left out [N m].
+
+    It is that of the columns of terms, which test_elsewhere holds to Newton and Euler.
+    """
+    held = {**values, **dict.fromkeys(OFFSETS, 0.0)}
+    torques = []
+    for motion in motions:
+        nothing = np.zeros_like(motion.q)
+        recording = exact_recording(
+            Recording(motion.time, motion.q, motion.qd, nothing, motion.qdd)
+        )
+        torques.append(file.arm.torque(Rows(recording, slice(None)), file.point, held))
+    return np.concatenate(torques)
+
+
+def test_a_joint_that_stood_still_is_named_and_counted():
+    fitted, file = fit_of(drawn(3, move=with_still_joint))
+    promise = Promise(fitted)
+    promised = promise.of(file)
+    assert promised.still == ("joint2",)
+    said = " ".join(promise.limits())
+    assert "joint2 stood still" in said
+    moving = Promise(fit_of(drawn(3))[0])
+    assert "stood still" not in " ".join(moving.limits())
+    # A motion that moves it helps.
+    assert promised.next is not None
+    assert promised.next.relative_error < promised.after.relative_error
+
+
+def test_slow_logs_are_told_to_be_slow(fits):
+    def slowly(plan, _):
+        """Return the motion at a fifth of the speed."""
+        motion = plan.evaluate(np.arange(round(250.0 * plan.duration)) / 1250.0)
+        time = 5.0 * motion.time
+        return Motion(time, motion.q, motion.qd / 5.0, motion.qdd / 25.0)
+
+    fitted, file = fit_of(drawn(3, duration=30.0, move=slowly))
+    promise = Promise(fitted)
+    assert "the logs are slow for joint0" in " ".join(promise.limits())
+    promised = promise.of(file)
+    assert promised.at_log_speeds.relative_error < promised.after.relative_error
+
+
+def test_nothing_is_promised_where_the_fit_does_not_fit(fits):
+    fitted, file = fits
+    doubted = Verdict.TORQUES_ONLY.remark("a part follows from nothing")
+    result = made.found(file=made.model_file(elsewhere=None))
+    refused = replace(result, remarks=(doubted,))
+    assert with_promise(refused, fitted, file).file.elsewhere is None
+    trusted = with_promise(result, fitted, file)
+    assert trusted.file.elsewhere.after.relative_error > 0.0
+    said = [remark.text for remark in trusted.remarks]
+    assert any("of this arm as it was" in text for text in said)
+
+
+def test_the_same_run_promises_the_same(fits):
+    fitted, file = fits
+    assert Promise(fitted).of(file) == Promise(fitted).of(file)
