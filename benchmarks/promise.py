@@ -670,18 +670,21 @@ def line_of(row: Row) -> str:
 def real_table(rows: Sequence[Row]) -> list[str]:
     """Return the lines of the table on logs of real arms."""
     lines = [
-        "| File of, judged on | model as it came | file | promised for that motion | ratio "
-        "| promised all over the range |",
-        "| --- " * 6 + "|",
+        "| Model file of, judged on | before -> after | promised there | ratio "
+        "| offsets left in | promised there | ratio | promised all over the range |",
+        "| --- " * 8 + "|",
     ]
     for row in rows:
-        for key, place in (("out", 0), ("left in", 1)):
-            cells = [row[which][place] for which in ("before", "after", "promised")]
-            ratio = cells[1] / cells[2]
-            shares = [f"{100.0 * cell:.3g} %" for cell in cells]
-            all_over = f"{100.0 * row['elsewhere']:.3g} %" if row["elsewhere"] else ""
-            words = [f"{row['key']}, offsets {key}", *shares, f"{ratio:.2f}", all_over]
-            lines.append(f"| {' | '.join(words)} |")
+        cells = [row["key"]]
+        for place in range(len(Errors._fields)):
+            before, after, promised = (
+                row[name][place] for name in ("before", "after", "promised")
+            )
+            cells += [percents(before, after), f"{100.0 * promised:.3g} %"]
+            cells.append(f"{after / promised:.2f}")
+        share = row["elsewhere"]
+        cells.append(f"{100.0 * share:.3g} %" if share else "nothing")
+        lines.append(f"| {' | '.join(cells)} |")
     return lines
 
 
