@@ -66,6 +66,7 @@ from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, Recording, RobotModel
 from robot_sysid.records.file_access import curved_in, models_in
+from robot_sysid.records.levels import LIKE_LOG
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.process import FilteredRecording, low_pass_recordings
 from robot_sysid.signals.resampling import split_at_gaps
@@ -622,7 +623,33 @@ def simulated_table(rows: Sequence[Row]) -> list[str]:
     pairs = [(max(row["after"]), row["held_out"]) for row in answered]
     words = "all, the held-out error in place of the promise"
     lines.append(f"| {words} | {len(pairs)} {ratio_cells(pairs)}|")
-    return [*lines, "", *unpromised_lines(rows)]
+    return [*lines, "", *warned_lines(rows), *unpromised_lines(rows)]
+
+
+def warned_lines(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield how many files are hardly better than the model, and of how many the run says so."""
+    promised = [row for row in rows if row.get("promised")]
+    gains = [
+        (
+            max(row["after"]) / max(row["before"]),
+            row["promised"]["after"] / row["promised"]["before"],
+        )
+        for row in promised
+    ]
+    true, said = np.transpose(gains)
+    is_said = said > LIKE_LOG
+    for words, is_true in (
+        ("worse than the model as it came", true > 1.0),
+        (
+            f"above {LIKE_LOG} of its error, but not worse",
+            (true > LIKE_LOG) & (true <= 1.0),
+        ),
+        ("better than that", true <= LIKE_LOG),
+    ):
+        yield (
+            f"- Files that are {words}: {np.sum(is_true)}; "
+            f'"usable for motions like this log": {np.sum(is_said & is_true)}.'
+        )
 
 
 def promised_pairs(rows: Sequence[Row], name: str) -> list[tuple[float, float]]:
@@ -634,14 +661,14 @@ def promised_pairs(rows: Sequence[Row], name: str) -> list[tuple[float, float]]:
 def unpromised_lines(rows: Sequence[Row]) -> Iterator[str]:
     """Yield how many logs have no promise, and how bad the files of such logs are."""
     refused = [row for row in rows if row["refused"]]
-    yield f"Refused, without a file: {len(refused)} of {len(rows)} logs."
+    yield f"- Refused, without a file: {len(refused)} of {len(rows)} logs."
     others = [row for row in rows if not row["refused"] and not row["promised"]]
     if others:
         before, after = np.transpose(
             [(max(row["before"]), max(row["after"])) for row in others]
         )
         yield (
-            f"With a file and without a promise: {len(others)}; their errors are "
+            f"- With a file and without a promise: {len(others)}; their errors are "
             f"{percents(np.median(before), np.median(after))} in the median, at worst "
             f"{percents(before[np.argmax(after)], np.max(after))}."
         )
