@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid.dynamics.friction import COULOMB, OFFSET, ROTOR
+from robot_sysid.dynamics.friction import COULOMB, OFFSET, ROTOR, VISCOUS
 from robot_sysid.estimate.choose import fastest_of, speeds_in
 from robot_sysid.estimate.fit import Fit, solve
+from robot_sysid.estimate.questions import LEAST_DRY
 from robot_sysid.estimate.restricted_fit import straight_of
 from robot_sysid.estimate.rows import Sums
 from robot_sysid.estimate.terms import (
@@ -54,6 +55,7 @@ from robot_sysid.results.record import (
     MotionErrors,
     NextMotion,
 )
+from robot_sysid.spatial import PARAMETER_NAMES
 
 MOST_RAISED = 2.0
 """Most by which the jackknife raises an error here: it is uncertain itself, and of ten blocks its
@@ -105,8 +107,11 @@ class Knowledge:
     """What a fit knows of the p parameters of made-up motions, those that its logs lack included.
 
     Attributes:
-        values: (p,) of the fit; the model's of those that it does not estimate.
-        precision: (p, p) of data, priors and wide priors; zero of what is taken to be known.
+        values: (p,) of the fit, what it lets free drawn to what it is without any log: the last
+            link to the model's, friction and rotors to none; the model's of those that it does
+            not estimate.
+        precision: (p, p) of data and priors, as little as the jackknife says.
+        wide: (p,) precision of wide priors; zero of what the fit has a prior of, or takes as known.
         raised: (p,) times its error by which the jackknife raises that of a parameter.
         of_scales: (p, p) covariance of what torque scales do beyond their columns.
         weights: (J,) of each joint's rows [1/(N m)].
@@ -115,6 +120,7 @@ class Knowledge:
 
     values: Array
     precision: Array
+    wide: Array
     raised: Array
     of_scales: Array
     weights: Array
@@ -122,12 +128,12 @@ class Knowledge:
 
     def covariance(self, further: Array | float = 0.0) -> Array:
         """Return the covariance (p, p) of the errors, after ``further`` (p, p) rows are added."""
-        size = len(self.values)
-        normal = np.zeros((size + 1, size + 1))
-        normal[:-1, :-1] = self.precision + further
-        is_free = np.diag(self.precision) > 0.0
+        # What the jackknife raises is the error of data, not of what nothing is known of.
+        raised = self.raised[:, None] * self.raised
+        normal = _padded((self.precision + further) / raised + np.diag(self.wide))
+        is_free = np.diag(self.precision) + self.wide > 0.0
         _, inverse = solve(normal, self.values, is_free)
-        return self.raised[:, None] * inverse * self.raised + self.of_scales
+        return usual_errors.ERRORS_AS_THEY_ARE**2 * (inverse + self.of_scales)
 
     def rows(self, sums: Sums, length: float, weights: Array) -> Array:
         """Return the products (p, p) of the rows of a log that moves as the motions of sums do.
@@ -149,7 +155,8 @@ def knowledge_of(fitted: Fit, sums: Sums) -> Knowledge:
 
     Of a joint that stood still no row tells anything: its rows weigh as those of an average one.
     """
-    values = np.array([fitted.by_name[name] for name in sums.names])
+    settled = settled_values(fitted)
+    values = np.array([settled[name] for name in sums.names])
     is_still = is_without_rows(fitted)
     noise = fitted.noise * np.sqrt(fitted.correlation)
     average = np.sqrt(np.mean(noise[~is_still] ** 2))
@@ -158,11 +165,18 @@ def knowledge_of(fitted: Fit, sums: Sums) -> Knowledge:
     of_fit = fitted.at([*itertools.compress(sums.names, known)])
     precision = np.zeros((len(values), len(values)))
     precision[at[:, None], at] = _without_others(fitted.normal[:-1, :-1], of_fit)
-    wide = wide_errors(fitted, sums)
-    wide.update(_still_errors(fitted, sums, values))
-    for name, error in wide.items():
+    wide = np.zeros(len(values))
+    of_nothing = values.copy()
+    for name, error in wide_errors(fitted, sums):
         index = sums.names.index(name)
-        precision[index, index] += error**-2
+        wide[index] = error**-2
+        of_nothing[index] = 0.0
+    of_nothing[sums.at(PARAMETER_NAMES)] = values[sums.at(PARAMETER_NAMES)]
+    unbounded = precision + np.diag(wide)
+    _, inverse = solve(_padded(unbounded), values, np.diag(unbounded) > 0.0)
+    values = values + inverse @ (wide * (of_nothing - values))
+    for name, error in _still_errors(fitted, sums):
+        wide[sums.names.index(name)] = error**-2
     formal = np.maximum(np.diag(fitted.inverse), 1e-300)
     raised = np.sqrt(np.clip(fitted.jackknife / formal, 1.0, MOST_RAISED**2))
     of_all = np.ones(len(values))
@@ -173,11 +187,38 @@ def knowledge_of(fitted: Fit, sums: Sums) -> Knowledge:
     return Knowledge(
         values,
         precision,
+        wide,
         of_all,
         of_scales,
         1.0 / np.where(is_still, average, noise),
         first.rate / (first.low_pass.step * first.every),
     )
+
+
+def _padded(normal: Array) -> Array:
+    """Return products (p, p) of columns as those (p + 1, p + 1) with a torque, which is zero."""
+    return np.pad(normal, (0, 1))
+
+
+def settled_values(fitted: Fit) -> dict[str, float]:
+    """Return the names of all parameters to their values, the last link kept near the model's.
+
+    It is as far off the model's as it is large, at most: a log in which the last joint stands still
+    lets its inertia free, and noise has made it 200 times as large, and columns with it.
+    """
+    values = dict(fitted.by_name)
+    term = fitted.arm.terms[LAST_LINK]
+    terms = {each.key: each for each in fitted.equations.terms}
+    if LAST_LINK not in terms or terms[LAST_LINK].prior is not None:
+        return values
+    at = fitted.at(term.names)
+    wide = fitted.arm.robot.prior.scale**-2.0
+    normal = fitted.normal.copy()
+    normal[at, at] += wide
+    _, inverse = solve(normal, fitted.values)
+    pull = inverse[:, at] @ (wide * (term.reference - fitted.values[at]))
+    values.update(zip(fitted.names, (fitted.values + pull).tolist()))
+    return values
 
 
 def is_without_rows(fitted: Fit) -> NDArray[np.bool_]:
@@ -196,20 +237,16 @@ def _without_others(normal: Array, at: NDArray[np.int64]) -> Array:
     return normal[at[:, None], at] - across @ np.linalg.solve(of_others, across.T)
 
 
-def wide_errors(fitted: Fit, sums: Sums) -> dict[str, float]:
-    """Return the names of parameters that a fit lets free to how large they may be if unknown.
+def wide_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
+    """Yield the names of parameters that a fit lets free, and how large they may be if unknown.
 
     The last link may be as large as itself; friction and rotors make a share of a joint's torque.
     """
-    errors: dict[str, float] = {}
     for term in fitted.equations.terms:
-        if term.prior is not None:
-            continue
-        if term.cause == LAST_LINK:
-            errors.update(zip(term.names, fitted.arm.robot.prior.scale.tolist()))
-        elif term.cause in (FRICTION, MOTORS):
-            errors.update(_unknown_sizes(fitted, sums, term))
-    return errors
+        if term.prior is None and term.cause == LAST_LINK:
+            yield from zip(term.names, fitted.arm.robot.prior.scale.tolist())
+        elif term.prior is None and term.cause in (FRICTION, MOTORS):
+            yield from _unknown_sizes(fitted, sums, term)
 
 
 def _unknown_sizes(fitted: Fit, sums: Sums, term: Term) -> Iterator[tuple[str, float]]:
@@ -220,34 +257,52 @@ def _unknown_sizes(fitted: Fit, sums: Sums, term: Term) -> Iterator[tuple[str, f
     is_offset = term.key == OFFSET.name
     share = usual_errors.UNKNOWN_OFFSET if is_offset else usual_errors.UNKNOWN_JOINT
     torque = fitted.sums.rms_torque
+    sizes = share * torque
+    if term.key == VISCOUS.name:
+        dry = np.maximum(fitted.question.dry or 0.0, LEAST_DRY * torque)
+        sizes = np.minimum(sizes, usual_errors.VISCOUS_OVER_DRY * dry)
     columns = np.sqrt(sums.squares / sums.row_counts[:, None])
     for name in term.names:
         own = columns[:, sums.names.index(name)]
         is_seen = (own > 0.0) & (torque > 0.0)
         if np.any(is_seen):
-            yield name, float(np.max(share * torque[is_seen] / own[is_seen]))
+            yield name, float(np.max(sizes[is_seen] / own[is_seen]))
 
 
-def _still_errors(
-    fitted: Fit, sums: Sums, values: Array
-) -> Iterator[tuple[str, float]]:
-    """Yield the dry friction of each joint that stood still, and how large it may be [N m].
+def _still_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
+    """Yield the dry friction of each joint that stood still, and how far off it may be [N m].
 
-    It is as large as the largest friction that was found at the others, by ``values`` (p,).
+    It is as far off as that of the joint of which the model's friction clearly is farthest off, by
+    the root of their torques: where the model states none, friction is as large as the largest that
+    was found. Friction of strong and weak joints is neither the same nor in proportion.
     """
     is_still = is_without_rows(fitted)
-    friction = {
+    names = [
         parameter.key
-        for term in fitted.arm.terms.values()
-        if term.cause in (FRICTION, MOTORS)
+        for term in fitted.equations.terms
+        if term.cause in (FRICTION, FURTHER_FRICTION, MOTORS)
         for parameter in term.parameters
-        if parameter.is_friction
-    }
-    own = np.append(np.where(np.isin(sums.names, [*friction]), values, 0.0), 0.0)
-    squares = sums.squares_of(own, sums.totals) / sums.row_counts
-    largest = float(np.sqrt(np.max(squares[~is_still], initial=0.0)))
-    for name in itertools.compress(sums.joints, is_still):
-        yield COULOMB.key_of(name), max(largest, 1e-9)
+        if parameter.is_friction and parameter.key in sums.names
+    ]
+    at = sums.at(names)
+    own = fitted.at(names)
+    off = np.zeros(len(sums.names) + 1)
+    off[at] = [fitted.by_name[name] - fitted.arm.model.get(name, 0.0) for name in names]
+    errors = np.zeros((len(off), len(off)))
+    errors[at[:, None], at] = fitted.covariance[own[:, None], own]
+    settled = settled_values(fitted)
+    whole = np.append([settled[name] for name in sums.names], -1.0)
+    sizes = []
+    torques = []
+    for gram, count in zip(grams(sums), sums.row_counts):
+        clear = max(off @ gram @ off - np.vdot(errors, gram), 0.0)
+        sizes.append(np.sqrt(clear / count))
+        torques.append(np.sqrt(whole @ gram @ whole / count))
+    shares = np.array(sizes) / np.sqrt(np.maximum(torques, 1e-300))
+    largest = np.max(shares[~is_still], initial=0.0)
+    for index in np.flatnonzero(is_still):
+        size = float(largest * np.sqrt(torques[index]))
+        yield COULOMB.key_of(sums.joints[index]), max(size, 1e-9)
 
 
 def grams(sums: Sums) -> Iterator[Array]:
@@ -416,6 +471,11 @@ class Promise:
     def __init__(self, fitted: Fit) -> None:
         self._fitted = fitted
         self._robot = fitted.arm.robot
+        thetas, links = fitted.point.thetas.copy(), fitted.point.links.copy()
+        settled = settled_values(fitted)
+        last = [settled[name] for name in fitted.arm.terms[LAST_LINK].names]
+        thetas[-1] = links[-1] = last
+        self._point = replace(fitted.point, thetas=thetas, links=links)
         # The motions of a promise are the same in every run, others than a further log's.
         self._rng = np.random.default_rng(0)
         self._highest = self._robot.limits.velocity
@@ -431,7 +491,7 @@ class Promise:
         """Return the sums of motions up to some speeds (n,) [rad/s or m/s]."""
         fitted = self._fitted
         motions = [*made_up_motions(self._robot, speeds, self._rng)]
-        return sums_elsewhere(fitted.arm, fitted.point, motions, fitted.question.loaded)
+        return sums_elsewhere(fitted.arm, self._point, motions, fitted.question.loaded)
 
     def of(self, file: Fit) -> Elsewhere:
         """Return what is expected of a model file, ``file`` its fit, and of the model before."""
