@@ -2,7 +2,7 @@
 
 Run from the checkout; ``--write`` puts the tables into docs/evidence.md:
 
-    OMP_NUM_THREADS=1 python -m benchmarks.promise [PART...] [--files 100] [--first-seed 0]
+    OMP_NUM_THREADS=1 python -m benchmarks.promise [PART...] [--files 100] [--first-seed 1000]
         [--rows FILE] [--write]
 
 Parts, all by default:
@@ -106,6 +106,8 @@ OTHER_ERRORS = {
 """Names of errors that are promised beside that of the file, to words."""
 WITHIN = (0.5, 1.5)
 """Ratios of actual to promised errors between which a promise is kept."""
+FIRST_SEED = 1000
+"""Of the first arm. The promise has numbers that were chosen by the arms of 0 to 99."""
 PARTS = ("simulated", "real", "second", "plan")
 """Of the benchmark."""
 NARROW = ("slow", "small", "three joints")
@@ -824,7 +826,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="PART")
     parser.add_argument("--files", type=int, default=100)
-    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
