@@ -199,18 +199,24 @@ def identify_case(case: Case, model: Path):
 
 def file_error(model, robot, test) -> float:
     """Return the relative torque error of a model by ``mj_inverse``, each joint's mean out."""
+    return relative(test, test.low_pass.decimate(file_torque(model, robot, test)))
+
+
+def file_torque(model, robot, motion):
+    """Return the torque (N, n) of a model, or of its file, in a motion by ``mj_inverse``."""
     model = compile_model(model).mj_model if isinstance(model, Path) else model
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     data = mujoco.MjData(model)
-    torque = np.empty_like(test.tau)
-    for k, (q, qd, qdd) in enumerate(zip(test.q, test.qd, test.qdd)):
+    data.qpos[:] = robot.reference_qpos
+    torque = np.empty_like(motion.q)
+    for k, (q, qd, qdd) in enumerate(zip(motion.q, motion.qd, motion.qdd)):
         data.qpos[robot.qpos_index] = q
         data.qvel[robot.dof_index] = qd
         data.qacc[robot.dof_index] = qdd
         mujoco.mj_inverse(model, data)
         torque[k] = data.qfrc_inverse[robot.dof_index]
-    torque += joint_friction(model, robot.dof_index).dry(test.qd)
-    return relative(test, test.low_pass.decimate(torque))
+    # Its dry friction is a constraint.
+    return torque + joint_friction(model, robot.dof_index).dry(motion.qd)
 
 
 def relative(test, torque) -> float:
