@@ -240,6 +240,7 @@ def elsewhere(after=0.03, of_log=0.025, **changes):
         before=before,
         after=after,
         at_log_speeds=of_log,
+        log_speed=0.6,
         parts=(
             ErrorPart("friction of j5", 0.02),
             ErrorPart("mass and centre of link5", 0.01),

@@ -59,7 +59,6 @@ from robot_sysid.results.record import (
     MotionErrors,
     NextMotion,
 )
-from robot_sysid.spatial import PARAMETER_NAMES
 
 MOST_RAISED = 2.0
 """Most by which the jackknife raises an error here: it is uncertain itself, and of ten blocks its
@@ -159,44 +158,75 @@ def knowledge_of(fitted: Fit, sums: Sums) -> Knowledge:
 
     Of a joint that stood still no row tells anything: its rows weigh as those of an average one.
     """
-    settled = settled_values(fitted)
-    values = np.array([settled[name] for name in sums.names])
     is_still = is_without_rows(fitted)
     noise = fitted.noise * np.sqrt(fitted.correlation)
     average = np.sqrt(np.mean(noise[~is_still] ** 2))
     known = [name in fitted.names for name in sums.names]
     at = np.flatnonzero(known)
     of_fit = fitted.at([*itertools.compress(sums.names, known)])
-    precision = np.zeros((len(values), len(values)))
+    precision = np.zeros((len(known), len(known)))
     precision[at[:, None], at] = _without_others(fitted.normal[:-1, :-1], of_fit)
-    wide = np.zeros(len(values))
-    of_nothing = values.copy()
-    for name, error in wide_errors(fitted, sums):
-        index = sums.names.index(name)
-        wide[index] = error**-2
-        of_nothing[index] = 0.0
-    of_nothing[sums.at(PARAMETER_NAMES)] = values[sums.at(PARAMETER_NAMES)]
-    unbounded = precision + np.diag(wide)
-    _, inverse = solve(_padded(unbounded), values, np.diag(unbounded) > 0.0)
-    values = values + inverse @ (wide * (of_nothing - values))
-    for name, error in _still_errors(fitted, sums):
-        wide[sums.names.index(name)] = error**-2
     formal = np.maximum(np.diag(fitted.inverse), 1e-300)
-    raised = np.sqrt(np.clip(fitted.jackknife / formal, 1.0, MOST_RAISED**2))
-    of_all = np.ones(len(values))
-    of_all[at] = np.where(fitted.is_hidden, 1.0, raised)[of_fit]
+    of_data = np.sqrt(np.clip(fitted.jackknife / formal, 1.0, MOST_RAISED**2))
+    raised = np.ones(len(known))
+    raised[at] = np.where(fitted.is_hidden, 1.0, of_data)[of_fit]
     of_scales = np.zeros_like(precision)
     of_scales[at[:, None], at] = fitted.scale_errors[of_fit[:, None], of_fit]
+    wide = np.zeros(len(known))
+    for name, error in wide_errors(fitted, sums):
+        wide[sums.names.index(name)] = error**-2
+    loosened = _loosened_offsets(fitted, sums)
+    precision -= np.diag(loosened)
+    values = _drawn_values(fitted, sums, precision, wide, loosened)
+    for name, error in _still_errors(fitted, sums):
+        wide[sums.names.index(name)] = error**-2
     first = fitted.recordings[0]
     return Knowledge(
         values,
         precision,
         wide,
-        of_all,
+        raised,
         of_scales,
         1.0 / np.where(is_still, average, noise),
         first.rate / (first.low_pass.step * first.every),
     )
+
+
+def _loosened_offsets(fitted: Fit, sums: Sums) -> Array:
+    """Return by how much the priors of torque offsets in a fit are too precise here (p,).
+
+    An offset of which a fit knows that it is as small as usual is taken for weight where it is not,
+    and the file has that weight.
+    """
+    loosened = np.zeros(len(sums.names))
+    for term in fitted.equations.terms:
+        if term.key == OFFSET.name and term.prior is not None:
+            kept = usual_errors.LARGE_OFFSET**-2
+            loosened[sums.at(term.names)] = (1.0 - kept) / term.prior.variances
+    return loosened
+
+
+def _drawn_values(
+    fitted: Fit, sums: Sums, precision: Array, wide: Array, loosened: Array
+) -> Array:
+    """Return the values (p,) of a fit under other priors than its own.
+
+    Args:
+        fitted: the fit.
+        sums: of made-up motions.
+        precision: (p, p) of data and priors.
+        wide: (p,) precision of wide priors, the last link's around the model's and others around
+            zero.
+        loosened: (p,) precision that priors around zero have lost.
+    """
+    settled = settled_values(fitted)
+    values = np.array([settled[name] for name in sums.names])
+    of_nothing = np.zeros(len(values))
+    last = sums.at(fitted.arm.terms[LAST_LINK].names)
+    of_nothing[last] = values[last]
+    normal = precision + np.diag(wide)
+    _, inverse = solve(_padded(normal), values, np.diag(normal) > 0.0)
+    return values + inverse @ (wide * (of_nothing - values) + loosened * values)
 
 
 def _padded(normal: Array) -> Array:
@@ -257,8 +287,9 @@ def _still_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
     """Yield the dry friction of each joint that stood still, and how far off it may be [N m].
 
     It is as far off as that of the joint of which the model's friction clearly is farthest off, by
-    the root of their torques: where the model states none, friction is as large as the largest that
-    was found. Friction of strong and weak joints is neither the same nor in proportion.
+    the root of their torques, but no farther: where the model states none, friction is at most the
+    largest that was found. Friction of strong and weak joints is neither the same nor in
+    proportion.
     """
     is_still = is_without_rows(fitted)
     names = [
@@ -283,9 +314,10 @@ def _still_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
         sizes.append(np.sqrt(clear / count))
         torques.append(np.sqrt(whole @ gram @ whole / count))
     shares = np.array(sizes) / np.sqrt(np.maximum(torques, 1e-300))
-    largest = np.max(shares[~is_still], initial=0.0)
+    share = np.max(shares[~is_still], initial=0.0)
+    largest = np.max(np.array(sizes)[~is_still], initial=0.0)
     for index in np.flatnonzero(is_still):
-        size = float(largest * np.sqrt(torques[index]))
+        size = float(min(share * np.sqrt(torques[index]), largest))
         yield COULOMB.key_of(sums.joints[index]), max(size, 1e-9)
 
 
@@ -467,7 +499,8 @@ class Promise:
             speeds_in(fitted.recordings), np.eye(self._robot.n_joints)
         )
         self._fast = self._sums(self._highest)
-        self._slow = self._sums(np.clip(self._of_log, SLOWEST, self._highest))
+        self._slowly = np.clip(self._of_log, SLOWEST, self._highest)
+        self._slow = self._sums(self._slowly)
         self._known = knowledge_of(fitted, self._fast)
         self._covariance = self._known.covariance()
 
@@ -499,6 +532,7 @@ class Promise:
             before=before.errors,
             after=after.errors,
             at_log_speeds=of_log,
+            log_speed=float(np.max(self._slowly[is_slide == is_of_slides])),
             faster=to_record,
             still=self.still,
             parts=after.largest_parts(parts_of(fitted.arm, self._fast)),
@@ -584,8 +618,9 @@ class Promise:
             are_all = len(joints) == len(self._robot.joint_names)
             listed = "all joints" if are_all else ", ".join(joints)
             yield (
-                f"the logs are slow for {listed}: friction at twice their speed and "
-                "more is not measured, and the error on other motions may be up to twice too high"
+                f"the logs are slow for {listed}: friction at twice their speed and more is not "
+                "measured, so that the error to expect on other motions is a cautious one there, "
+                "up to twice the true one"
             )
         offsets = fitted.arm.terms[OFFSET.name].parameters
         clear = [

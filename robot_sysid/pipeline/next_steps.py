@@ -49,9 +49,13 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
     "further motion": (
-        "Next, plan a second motion, record it and identify the arm from both logs: on other "
-        "motions the file is then expected to be {expected} off, {now} now",
+        "If {now} on other motions is too much, plan a second motion: with its log, about "
+        "{expected} is expected",
         "plan {model} {options} --output-dir {folder}/planned",
+    ),
+    "further motion recorded": (
+        "Record it as {folder}/planned/log.csv, and identify the arm from both logs",
+        "identify {model} {log} {folder}/planned/log.csv {options} --output-dir {folder}/both",
     ),
     "part bolted on": (
         "Next, if what is bolted on can be taken off, record {folder}/empty.csv without it and "

@@ -246,14 +246,21 @@ def _step_to_further_motion(config: Config, result: Identification) -> NextStep 
     elsewhere = (curved or result.file).elsewhere
     if elsewhere is None or elsewhere.next is None:
         return None
-    return step_after(
+    folder = config.output.output_dir
+    step = step_after(
         "further motion",
         vars(config.model),
         *elsewhere.next.plan,
-        folder=config.output.output_dir,
+        folder=folder,
         now=percent(elsewhere.after.relative_error),
         expected=percent(elsewhere.next.relative_error),
     )
+    if not isinstance(config, IdentifyConfig):
+        return step
+    values = {**vars(config.model), **vars(config.log)}
+    logs = config.log.measurements
+    then = step_after("further motion recorded", values, log=logs, folder=folder)
+    return replace(step, then=then)
 
 
 def run_self_test(

@@ -150,14 +150,20 @@ class NextStep:
     Attributes:
         sentence: what to do and what for, without an end mark.
         command: words of the command line that does it.
+        then: what to do after that; None for nothing that is known before.
     """
 
     sentence: str
     command: tuple[str, ...]
+    then: NextStep | None = None
 
     def lines(self) -> tuple[str, ...]:
-        """Return the sentence, and below it the command, quoted for a shell, alone on its line."""
-        return f"{self.sentence}:", f"  {shlex.join(self.command)}"
+        """Return the sentence, and below it the command, quoted for a shell, alone on its line.
+
+        So for what to do after that.
+        """
+        own = f"{self.sentence}:", f"  {shlex.join(self.command)}"
+        return own if self.then is None else (*own, *self.then.lines())
 
 
 class Progress:

@@ -231,7 +231,8 @@ def elsewhere_text(elsewhere: Content) -> str:
     lacking = []
     if elsewhere["faster"]:
         of_log = percent(elsewhere["at_log_speeds"]["relative_error"])
-        text += f", {of_log} at the log's speeds"
+        slow = f"{elsewhere['log_speed']:.2g} {elsewhere['speed_unit']}"
+        text += f", {of_log} at the log's speeds, up to {slow}"
         lacking.append(f"record faster, mostly {elsewhere['faster']}")
     if elsewhere["still"]:
         lacking.append(f"{', '.join(elsewhere['still'])} stood still")
@@ -259,10 +260,13 @@ def _improvements(content: Content) -> Iterator[str]:
         # A payload is part of both models: the change is that of links and friction.
         load = " with the payload" if payload else ""
         first = _named_first(file)
-        as_used, aside = (before_after_text(first, kind) for kind in ("_as_used", ""))
-        text = f"torque error{load} {as_used} here"
-        if aside != as_used:
-            text += f" ({aside} torque offsets aside)"
+        text = f"torque error{load} {before_after_text(first, '_as_used')} here"
+        used, aside = (
+            percent(first[after]["relative_error"] or 0.0)
+            for after in ("after_as_used", "after")
+        )
+        if aside != used:
+            text += f" ({before_after_text(first)} torque offsets aside)"
         yield text
         if first["elsewhere"]:
             yield elsewhere_text(first["elsewhere"])

@@ -271,7 +271,8 @@ class Elsewhere:
         speed_unit: its unit.
         before: of the original model.
         after: of the written model.
-        at_log_speeds: of the written model, on motions as slow as the logs.
+        at_log_speeds: of the written model, on motions in which no joint is faster than in logs.
+        log_speed: highest speed of these.
         faster: the joint that makes most of the error, if that comes from faster motions; else "".
         still: joints that stood still in the logs.
         parts: what makes most of the error of the written model, largest first.
@@ -285,6 +286,7 @@ class Elsewhere:
     before: MotionErrors
     after: MotionErrors
     at_log_speeds: MotionErrors
+    log_speed: float
     faster: str = ""
     still: tuple[str, ...] = ()
     parts: tuple[ErrorPart, ...] = ()

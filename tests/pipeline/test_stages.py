@@ -185,8 +185,11 @@ def test_a_second_motion_is_proposed_where_it_makes_the_file_better():
     step = step_after_run(
         options, results.found(file=results.model_file(elsewhere=proposed))
     )
-    assert "3.1 % off, 13 % now" in step.sentence
+    assert "13 % on other motions" in step.sentence and "3.1 %" in step.sentence
     assert step.command[1:5] == ("plan", "arm.xml", "--duration", "60")
+    both = "log.csv", str(options.output.output_dir / "planned/log.csv")
+    assert step.then.command[1:5] == ("identify", "arm.xml", *both)
+    assert "--units" in step.then.command and step.lines()[2:] == step.then.lines()
     for nothing in (results.elsewhere(0.13), None):
         file = results.model_file(elsewhere=nothing)
         assert step_after_run(options, results.found(file=file)) is None
