@@ -1,0 +1,107 @@
+"""What is expected of a file is what many fits of it have on average, and its derivative is exact."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+
+from rigs.arms import SEEDS
+from robot_sysid.motion.file_errors import FileErrors
+
+SIZE = 7
+
+
+def drawn(seed, rows=30, noise=0.5):
+    """Return errors of a file that holds some of seven unknowns, and rows of a recording."""
+    rng = default_rng(seed)
+    judged = rng.normal(size=(20, SIZE))
+    in_file = np.arange(SIZE) < rng.integers(1, SIZE)
+    recorded = rng.normal(size=(rows, SIZE)) / noise
+    return FileErrors(judged.T @ judged, rng.permutation(in_file)), recorded
+
+
+def squares(errors, information):
+    """Return the expected squares of a file's error."""
+    return np.vdot(errors.elsewhere, errors.covariance(information))
+
+
+@given(SEEDS)
+def test_the_value_is_half_the_logarithm_of_the_squares(seed):
+    errors, rows = drawn(seed)
+    information = rows.T @ rows + np.eye(SIZE)
+    value, _ = errors.value_and_weight(information)
+    ratio = squares(errors, information) / errors.before
+    assert value == pytest.approx(0.5 * np.log(ratio), rel=1e-9, abs=1e-12)
+
+
+@given(SEEDS)
+def test_the_derivative_equals_differences(seed):
+    errors, rows = drawn(seed)
+    information = rows.T @ rows + np.eye(SIZE)
+    direction = default_rng(seed + 1).normal(size=(SIZE, SIZE))
+    direction = direction + direction.T
+    _, weight = errors.value_and_weight(information)
+    step = 1e-5 * direction
+    ahead, _ = errors.value_and_weight(information + step)
+    behind, _ = errors.value_and_weight(information - step)
+    slope = -0.5 * np.vdot(weight, direction)
+    size = np.linalg.norm(weight) * np.linalg.norm(direction)
+    assert (ahead - behind) / 2e-5 == pytest.approx(slope, rel=1e-5, abs=1e-7 * size)
+    assert_allclose(weight, weight.T, atol=1e-12 * np.max(np.abs(weight)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_expected_squares_are_the_mean_of_many_files(seed):
+    """Arms and noise are drawn, a file is fitted to each recording with the priors of its terms."""
+    errors, rows = drawn(seed, rows=9)
+    held = errors.in_file
+    rng = default_rng([seed, 1])
+    count = 20_000
+    truth = rng.normal(size=(SIZE, count))
+    torque = rows @ truth + rng.normal(size=(len(rows), count))
+    own = rows[:, held]
+    file = np.zeros_like(truth)
+    file[held] = np.linalg.solve(own.T @ own + np.eye(np.sum(held)), own.T @ torque)
+    wrong = truth - file
+    found = np.sum(wrong * (errors.elsewhere @ wrong), axis=0)
+    expected = squares(errors, rows.T @ rows + np.eye(SIZE))
+    spread = np.std(found) / np.sqrt(count)
+    assert abs(np.mean(found) - expected) < 4.0 * spread
+
+
+@given(SEEDS)
+def test_a_file_without_a_recording_is_as_wrong_as_the_model(seed):
+    errors, _ = drawn(seed)
+    assert squares(errors, np.eye(SIZE)) == pytest.approx(errors.before)
+    value, _ = errors.value_and_weight(np.eye(SIZE))
+    assert value == pytest.approx(0.0, abs=1e-12)
+
+
+@given(SEEDS)
+def test_a_file_that_holds_everything_becomes_right_with_more_rows(seed):
+    errors, rows = drawn(seed)
+    complete = FileErrors(errors.elsewhere, np.ones(SIZE, dtype=bool))
+    left = [squares(complete, many * rows.T @ rows + np.eye(SIZE)) for many in (1.0, 1e3, 1e6)]
+    assert left[0] > left[1] > left[2]
+    assert left[2] < 1e-4 * complete.before
+
+
+@given(SEEDS)
+def test_what_a_file_does_not_hold_is_left_whatever_is_recorded(seed):
+    errors, rows = drawn(seed)
+    empty = FileErrors(errors.elsewhere, np.zeros(SIZE, dtype=bool))
+    information = rows.T @ rows + np.eye(SIZE)
+    assert squares(empty, information) == pytest.approx(empty.before)
+
+
+@given(SEEDS)
+def test_the_order_of_unknowns_does_not_matter(seed):
+    errors, rows = drawn(seed)
+    order = default_rng(seed + 1).permutation(SIZE)
+    moved = FileErrors(errors.elsewhere[np.ix_(order, order)], errors.in_file[order])
+    information = rows.T @ rows + np.eye(SIZE)
+    value, weight = errors.value_and_weight(information)
+    again, weight_again = moved.value_and_weight(information[np.ix_(order, order)])
+    assert again == pytest.approx(value, rel=1e-9, abs=1e-12)
+    assert_allclose(weight_again, weight[np.ix_(order, order)], rtol=1e-6, atol=1e-10)
