@@ -50,7 +50,7 @@ STEPS: Mapping[str, tuple[str, str]] = {
     ),
     "mass not known": (
         "Next, plan a motion that shows the mass better, and compare the ± that it promises",
-        "plan {model} {options} --output-dir {folder}/planned",
+        "plan {model} --for link {options} --output-dir {folder}/planned",
     ),
     "part bolted on": (
         "Next, if what is bolted on can be taken off, record {folder}/empty.csv without it and "
