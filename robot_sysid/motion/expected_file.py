@@ -25,7 +25,12 @@ from robot_sysid.estimate.options import (
     FILE_ROTORS,
     EstimationOptions,
 )
-from robot_sysid.estimate.questions import PER_CENT, Question, arm_question, usual_offset
+from robot_sysid.estimate.questions import (
+    PER_CENT,
+    Question,
+    arm_question,
+    usual_offset,
+)
 from robot_sysid.estimate.rows import Sums
 from robot_sysid.estimate.terms import (
     DELAY,
@@ -183,8 +188,12 @@ class Judgement:
         return ExpectedFile(
             speed=float(np.max(np.abs([motion.qd for motion in self.motions]))),
             before=float(np.sqrt(errors.before / torque_squares)),
-            after=float(np.sqrt(np.vdot(errors.elsewhere, covariance) / torque_squares)),
-            friction=float(np.sqrt(friction_errors / friction_squares)) if len(at) else None,
+            after=float(
+                np.sqrt(np.vdot(errors.elsewhere, covariance) / torque_squares)
+            ),
+            friction=float(np.sqrt(friction_errors / friction_squares))
+            if len(at)
+            else None,
         )
 
 

@@ -81,7 +81,8 @@ class FileErrors:
         weight[np.ix_(held, held)] = by_held
         weight[np.ix_(held, left_out)] = by_mixed
         weight[np.ix_(left_out, held)] = by_mixed.T
-        return 0.5 * np.log(squares / self.before), weight / squares
+        value = 0.5 * float(np.log(squares / self.before))
+        return value, weight / squares
 
     def _fit(self, information: Array) -> tuple[Array, Array]:
         """Return A, and B: what the file takes up of the unknowns that it does not hold."""

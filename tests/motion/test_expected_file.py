@@ -92,7 +92,9 @@ def test_all_terms_are_known_as_well_as_they_usually_are():
     names = [name for term in terms for name in term.names]
     for term in ("coulomb", "viscous"):
         at = [names.index(f"{term}[{joint}]") for joint in judge.arm.joints]
-        squares = np.sum(judge.sums.squares[:, judge.sums.at(judge.arm.terms[term].names)], axis=0)
+        squares = np.sum(
+            judge.sums.squares[:, judge.sums.at(judge.arm.terms[term].names)], axis=0
+        )
         made = deviations[at] * np.sqrt(squares / judge.sums.row_counts)
         assert_allclose(made, PLANNED_FRICTION * judge.torque, rtol=1e-9)
 
@@ -113,7 +115,9 @@ def test_a_file_keeps_what_it_is_told_to():
 
     def held(*kept):
         """Return the first words of the names of what a file's fit has."""
-        return {name.split("[")[0].split("(")[0] for name in names[in_file(terms, kept)]}
+        return {
+            name.split("[")[0].split("(")[0] for name in names[in_file(terms, kept)]
+        }
 
     assert {"coulomb", "viscous", "armature", "offset", "mass"} & held() >= {"coulomb"}
     assert not held() & {"scale", "zero", "tilt_1", "load", "bend", "fading"}

@@ -1,4 +1,4 @@
-"""What is expected of a file is what many fits of it have on average, and its derivative is exact."""
+"""What is expected of a file is the mean of many fits of it, and its derivative is exact."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,10 @@ def test_a_file_without_a_recording_is_as_wrong_as_the_model(seed):
 def test_a_file_that_holds_everything_becomes_right_with_more_rows(seed):
     errors, rows = drawn(seed)
     complete = FileErrors(errors.elsewhere, np.ones(SIZE, dtype=bool))
-    left = [squares(complete, many * rows.T @ rows + np.eye(SIZE)) for many in (1.0, 1e3, 1e6)]
+    left = [
+        squares(complete, many * rows.T @ rows + np.eye(SIZE))
+        for many in (1.0, 1e3, 1e6)
+    ]
     assert left[0] > left[1] > left[2]
     assert left[2] < 1e-4 * complete.before
 

@@ -86,7 +86,10 @@ def expected(before, after):
     [
         (predicted(0.1), "Usable"),
         (predicted(0.4), "Usable"),
-        (predicted(0.5), "Not ready: after this motion the mass of link1 is known to 50 %"),
+        (
+            predicted(0.5),
+            "Not ready: after this motion the mass of link1 is known to 50 %",
+        ),
         (
             predicted(np.inf),
             "Not ready: this motion does not determine the mass of link1",
