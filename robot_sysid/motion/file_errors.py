@@ -7,8 +7,8 @@ in its torque all the same. With A = (H_ff + 1)^-1 and B = A H_fn, the unknowns 
 
     A xi_f - B xi_n - A noise,    xi_n,
 
-and their covariance is S_ff = A + B B', S_fn = -B, S_nn = 1, as A A + A H_ff A = A. On motions whose
-rows have the products G, the squares of the file's error are expected to be
+and their covariance is S_ff = A + B B', S_fn = -B, S_nn = 1, as A A + A H_ff A = A. On motions
+whose rows have the products G, the squares of the file's error are expected to be
 
     E = tr(G S) = tr(G_ff A) + tr(B' G_ff B) - 2 tr(G_nf B) + tr(G_nn),
     dE = -tr(W dH),  W_ff = A G_ff A + A K B' + B K' A,  W_fn = -A K,  W_nn = 0,  K = G_ff B - G_fn.
@@ -87,5 +87,5 @@ class FileErrors:
     def _fit(self, information: Array) -> tuple[Array, Array]:
         """Return A, and B: what the file takes up of the unknowns that it does not hold."""
         rows = information[self.in_file]
-        inverse = np.linalg.inv(rows[:, self.in_file])
+        inverse = np.asarray(np.linalg.inv(rows[:, self.in_file]))
         return inverse, inverse @ rows[:, ~self.in_file]

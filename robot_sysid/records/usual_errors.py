@@ -76,8 +76,8 @@ LARGEST_FRICTION_SHARES = (0.1, 0.25)
 joint needs turns a gear that loses a tenth of that, and more at rest; a motor of 3 N m is not used
 for a joint that takes half of it."""
 
-# Before any log, as shares of a joint's torque on motions all over the arm's range. With these, 91 of
-# 100 files had between half and one and a half of the error that was expected of them.
+# Before any log, as shares of a joint's torque on motions all over the arm's range. With these, 91
+# of 100 files had between half and one and a half of the error that was expected of them.
 
 PLANNED_FRICTION = 0.3
 """Coulomb and viscous friction, each, less the model's; most models state none, or a guess."""
