@@ -169,7 +169,14 @@ class Judgement:
         terms = self.terms(options, is_replaced)
         units = units_of(terms)
         products = self.products(terms)
-        errors = FileErrors(units.T @ products @ units, in_file(terms, options.kept))
+        held = in_file(terms, options.kept)
+        bounded = np.concatenate(
+            [
+                [parameter.lower == 0.0 for parameter in term.parameters]
+                for term in terms
+            ]
+        )
+        errors = FileErrors(units.T @ products @ units, held, bounded)
         recorded = products_of(fitted.sums, terms, fitted.weights)
         information = units.T @ recorded @ units + np.eye(len(units))
         covariance = errors.covariance(information)

@@ -12,6 +12,10 @@ whose rows have the products G, the squares of the file's error are expected to 
 
     E = tr(G S) = tr(G_ff A) + tr(B' G_ff B) - 2 tr(G_nf B) + tr(G_nn),
     dE = -tr(W dH),  W_ff = A G_ff A + A K B' + B K' A,  W_fn = -A K,  W_nn = 0,  K = G_ff B - G_fn.
+
+Friction and rotors are held at zero where a fit would make them negative, so that what they take up
+of other torque is no larger than they are: of these unknowns, rows of B are at most one long. Fast
+motions never get there, and the search, which looks for such, goes without.
 """
 
 from __future__ import annotations
@@ -31,10 +35,12 @@ class FileErrors:
     Attributes:
         elsewhere: (P, P) products G of the rows of these motions, per unit of each unknown.
         in_file: (P,) which unknowns the file holds.
+        bounded: (P,) which of them are of numbers that cannot be negative; None for none.
     """
 
     elsewhere: Array
     in_file: NDArray[np.bool_]
+    bounded: NDArray[np.bool_] | None = None
 
     @property
     def before(self) -> float:
@@ -49,6 +55,10 @@ class FileErrors:
         held = np.flatnonzero(self.in_file)
         left_out = np.flatnonzero(~self.in_file)
         inverse, taken_up = self._fit(information)
+        if self.bounded is not None:
+            length = np.linalg.norm(taken_up, axis=1)
+            too_long = np.where(self.bounded[held], np.maximum(length, 1.0), 1.0)
+            taken_up = taken_up / too_long[:, None]
         covariance = np.eye(len(information))
         covariance[np.ix_(held, held)] = inverse + taken_up @ taken_up.T
         covariance[np.ix_(held, left_out)] = -taken_up
@@ -56,9 +66,10 @@ class FileErrors:
         return covariance
 
     def value_and_weight(self, information: Array) -> tuple[float, Array]:
-        """Return ln(E / E_0) / 2, E_0 the squares of the model's error, and W / E (P, P).
+        """Return ln(E / E_0) / 2 without bounds, and W / E (P, P).
 
-        A value that is 0.01 lower is an error that is 1 % smaller. It is infinite, and the weight
+        E_0 are the squares of the model's error. A value that is 0.01 lower is an error that is 1 %
+        smaller. It is infinite, and the weight
         zero, where the information H + 1 (P, P) is not finite.
         """
         weight = np.zeros_like(information)

@@ -21,6 +21,7 @@ from robot_sysid.motion.expected_file import (
     units_of,
 )
 from robot_sysid.motion.information import Criterion
+from robot_sysid.motion.trajectories import at_speed
 from robot_sysid.records.usual_errors import PLANNED_FRICTION, PLANNED_LEAST
 from tests.motion.test_prediction import best_plan
 
@@ -68,6 +69,14 @@ def test_exact_torques_make_a_right_file_where_it_holds_all_that_is_wrong():
     assert file_after(1e-4, HELD_ONLY).after < 1e-3 * file_after(1e-4, HELD_ONLY).before
     # Torque scales and friction at standstill are left, which no file holds.
     assert file_after(1e-4).after > 0.02
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.1])
+def test_a_slow_motion_makes_a_worse_file_that_is_better_than_the_model(speed):
+    """Friction that fades with speed is all that it shows of friction."""
+    problem = make_problem(ARM, noise_torque=0.01)
+    slow = predict(problem, at_speed(PLAN, speed), RATE, USUAL, FILE).file
+    assert 1.5 * file_after(0.01).after < slow.after < 0.9 * slow.before
 
 
 def test_another_tool_makes_the_model_worse_and_the_file_hardly():

@@ -70,6 +70,20 @@ def test_expected_squares_are_the_mean_of_many_files(seed):
     assert abs(np.mean(found) - expected) < 4.0 * spread
 
 
+def test_friction_that_cannot_be_negative_takes_up_no_more_than_itself():
+    """Of a recording without noise that shows the other unknown ten times as the file's own."""
+    information = np.eye(2) + 1e6 * np.array([[1.0, 10.0], [10.0, 100.0]])
+    elsewhere = np.eye(2)
+    in_file = np.array([True, False])
+    free = FileErrors(elsewhere, in_file)
+    held = FileErrors(elsewhere, in_file, bounded=in_file)
+    assert squares(free, information) == pytest.approx(101.0, rel=1e-3)
+    assert squares(held, information) == pytest.approx(2.0, rel=1e-3)
+    # What stays below its own size is as it is without bounds.
+    small = np.eye(2) + 1e6 * np.array([[1.0, 0.5], [0.5, 0.25]])
+    assert squares(held, small) == squares(free, small)
+
+
 @given(SEEDS)
 def test_a_file_without_a_recording_is_as_wrong_as_the_model(seed):
     errors, _ = drawn(seed)
