@@ -169,14 +169,19 @@ class Judgement:
         terms = self.terms(options, is_replaced)
         units = units_of(terms)
         products = self.products(terms)
+        lengths = [len(term.names) for term in terms]
         held = in_file(terms, options.kept)
+        is_friction = np.repeat([_is_friction(term) for term in terms], lengths)
+        is_offset = np.repeat([term.key == OFFSET.name for term in terms], lengths)
         bounded = np.concatenate(
             [
                 [parameter.lower == 0.0 for parameter in term.parameters]
                 for term in terms
             ]
         )
-        errors = FileErrors(units.T @ products @ units, held, bounded)
+        refitted = held & (is_friction | is_offset)
+        squares = units.T @ products @ units
+        errors = FileErrors(squares, held, refitted, held & bounded)
         recorded = products_of(fitted.sums, terms, fitted.weights)
         information = units.T @ recorded @ units + np.eye(len(units))
         covariance = errors.covariance(information)
@@ -185,8 +190,7 @@ class Judgement:
         model = model_values(self.arm, names)
         torque_squares = np.sum(self.sums.squared_residuals(model)) + errors.before
 
-        is_friction = np.array([_is_friction(term) for term in terms])
-        at = np.flatnonzero(np.repeat(is_friction, [len(term.names) for term in terms]))
+        at = np.flatnonzero(is_friction)
         friction = errors.elsewhere[np.ix_(at, at)]
         friction_errors = np.vdot(friction, covariance[np.ix_(at, at)])
         stated = model[self.sums.at([n for term in terms for n in term.names])][at]

@@ -244,7 +244,8 @@ class Criterion:
         is_held = [name in file.held for name in self._terms]
         of_joints = np.tile(is_held, len(sigma))
         of_links = np.ones(self._n_links, dtype=bool)
-        return FileErrors(elsewhere, np.concatenate((of_links, of_joints)))
+        in_file = np.concatenate((of_links, of_joints))
+        return FileErrors.at_once(elsewhere, in_file)
 
     def _columns(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the columns (rows, 10 L + terms, N) of each joint's equations: those of the links'

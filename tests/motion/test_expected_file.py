@@ -71,7 +71,7 @@ def test_exact_torques_make_a_right_file_where_it_holds_all_that_is_wrong():
     assert file_after(1e-4).after > 0.02
 
 
-@pytest.mark.parametrize("speed", [0.3, 0.1])
+@pytest.mark.parametrize("speed", [0.3, 0.1, 0.03])
 def test_a_slow_motion_makes_a_worse_file_that_is_better_than_the_model(speed):
     """Friction that fades with speed is all that it shows of friction."""
     problem = make_problem(ARM, noise_torque=0.01)
