@@ -17,8 +17,8 @@ That is of a file whose terms are all fitted at once, which a search can derive.
 motion is nearer to how a file is made: its bodies and rotors are those of the fit of all terms,
 whose priors keep them from taking up other torque, and its friction is fitted beside them. Friction
 and rotors are held at zero where they would be negative, so that they are off by no more than they
-are large. Both numbers of a designed motion are within a tenth of each other; of slow ones the first
-is up to six times as large.
+are large. Of a designed motion both numbers are within a tenth of each other; of slow ones the
+first is up to six times as large.
 """
 
 from __future__ import annotations
