@@ -193,7 +193,8 @@ class MotionConfig(Config):
 
     trajectory: TrajectoryOptions = TrajectoryOptions()
     excitation: ExcitationOptions = _fixed(ExcitationOptions(kind="sines"))
-    aim: AimOptions = _fixed(AimOptions())
+    # Without a plan's options, of a self-test, the terminal link is what is identified.
+    aim: AimOptions = _fixed(AimOptions(purpose="link"))
     limits: LimitOptions = _fixed(LimitOptions())
     estimation: EstimationOptions = EstimationOptions()
     motors: MotorOptions = MotorOptions()

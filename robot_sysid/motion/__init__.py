@@ -250,19 +250,20 @@ class AimOptions(OptionRecord):
     """What a plan is for.
 
     Attributes:
-        purpose: "link", "payload", "arm" or "weight".
+        purpose: "arm", "link", "payload" or "weight".
     """
 
     purpose: str = option(
-        "link",
-        "what the motion is to identify: the terminal link, a payload by difference, all links, "
-        "friction and rotors, or the weight of an arm whose model may be far off: slowly, with "
-        "half of the torque",
+        "arm",
+        "what the motion is for: the written file of the whole arm, links, friction and rotors; "
+        "the ten numbers of the terminal link alone, whatever it carries; a payload, weighed by "
+        "difference; or the weight of an arm whose model may be far off: slowly, with half of "
+        "the torque",
         flag="--for",
-        choices=("link", "payload", "arm", WEIGHT),
+        choices=("arm", "link", "payload", WEIGHT),
     )
 
     @property
     def target(self) -> str:
-        """What an estimate is to identify: "link", "arm" or "payload" (``PriorKnowledge``)."""
+        """What an estimate is to identify: "link", "arm" or "payload"."""
         return self.purpose if self.purpose in ("arm", "payload") else "link"

@@ -21,13 +21,15 @@ from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
+    LAST_LINK,
     LINKS,
     PAYLOAD_NAMES,
     SCALES,
     ArmTerms,
 )
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
-from robot_sysid.motion.information import Criterion, PriorKnowledge
+from robot_sysid.motion.expected_file import Judgement, is_held
+from robot_sysid.motion.information import Criterion, FileKnowledge, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan, join_recordings
@@ -71,8 +73,10 @@ def prior_knowledge(
     Args:
         problem: the arm, its limits and the joints whose torques are used.
         options: of the identification, with the uncertainties that the user states.
-        target: "link", "arm" or "payload", see ``PriorKnowledge``.
+        target: "link", "arm" or "payload": what the motion is to identify.
     """
+    if target == "arm":
+        return _file_knowledge(problem, options)
     robot = problem.robot
     deviations: dict[str, Array] = {}
     link_factor = np.zeros((N_INERTIAL * len(problem.links[1:]), 0))
@@ -81,7 +85,7 @@ def prior_knowledge(
         for name in ("coulomb", "viscous"):
             friction = vars(robot.friction)[name]
             deviations[name] = FRICTION_DRIFT * friction[list(problem.rows)]
-        return PriorKnowledge(link_factor, deviations, target)
+        return PriorKnowledge(link_factor, deviations)
     arm = _arm_terms(problem, options)
     # Dry friction is guessed from the mean torque (n,) of each joint at rest in random poses.
     rng = np.random.default_rng(0)
@@ -99,7 +103,34 @@ def prior_knowledge(
             deviations[first.name] = np.full(len(term.names), np.inf)
             if term.prior is not None:
                 deviations[first.name] = np.sqrt(term.prior.variances)
-    return PriorKnowledge(link_factor, deviations, target)
+    return PriorKnowledge(link_factor, deviations)
+
+
+def _file_knowledge(
+    problem: ExcitationProblem, options: EstimationOptions
+) -> PriorKnowledge:
+    """Return the priors of all terms of an arm whose whole file is to be identified."""
+    arm = _arm_terms(problem, options)
+    judgement = Judgement.of(problem, arm)
+    link_factor = np.zeros((N_INERTIAL * len(arm.others), 0))
+    deviations: dict[str, Array] = {}
+    held = []
+    for term in judgement.terms(options, is_replaced=False):
+        assert term.prior is not None
+        name = term.parameters[0].name
+        if term.cause == LAST_LINK:
+            last_factor = term.prior.factor
+        elif term.cause == LINKS:
+            link_factor = term.prior.factor
+        elif term.cause in (FRICTION, FURTHER_FRICTION, SCALES):
+            # Motors of several joints, which a search does not know, come behind the joints.
+            deviations[name] = np.sqrt(term.prior.variances)[: len(arm.joints)]
+            if is_held(term, options.kept):
+                held.append(name)
+    motions = [(motion.q, motion.qd, motion.qdd) for motion in judgement.motions]
+    elsewhere = np.concatenate(motions, axis=1)
+    file = FileKnowledge(last_factor, tuple(held), elsewhere)
+    return PriorKnowledge(link_factor, deviations, file)
 
 
 def typical_load(problem: ExcitationProblem) -> Array:
@@ -129,7 +160,6 @@ def predict(
         InputError: the motion cannot be processed like a log.
     """
     robot = problem.robot
-    knowledge = prior_knowledge(problem, options, aim.target)
     names: tuple[str, ...] = PARAMETER_NAMES
     recordings = "Recorded once"
     subject = robot.body_name
@@ -143,6 +173,12 @@ def predict(
         subject = f"a load of {theta[0]:.3g} kg ({reserve} states another one)"
         size = theta[0] / robot.prior.mass * size
     fitted = expected_fit(problem, plan, sample_rate, options, aim)
+    file = None
+    if aim.target != "payload":
+        # A motion for the last link is one for a link with another tool than the model's.
+        is_replaced = aim.target == "link"
+        judgement = Judgement.of(problem, fitted.arm)
+        file = judgement.expected_file(fitted, is_replaced)
     at = fitted.at(names)
     selection = np.eye(len(fitted.names))[at]
     mass_errors = fitted.budget(selection[:1])
@@ -158,6 +194,9 @@ def predict(
         mass, *_ = fitted.arm.links[index]
         if mass in fitted.names:
             link_errors[link.body_name] = fitted.error_of(mass) / float(link.theta[0])
+    # What no motion shows of a body is a question of the body alone, whatever else is identified.
+    of_body = "payload" if aim.target == "payload" else "link"
+    knowledge = prior_knowledge(problem, options, of_body)
     return Prediction(
         recordings=recordings,
         subject=subject,
@@ -166,6 +205,7 @@ def predict(
         by_cause=by_cause,
         link_mass_errors=link_errors,
         invisible=describe(Criterion(problem, knowledge).hidden, PARAMETER_NAMES),
+        file=file,
     )
 
 

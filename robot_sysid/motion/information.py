@@ -1,16 +1,14 @@
 """What a motion will tell, as the number that a search minimises, with its gradient.
 
+The number is one of two. Where an arm is identified, it is the error that the written file is
+expected to have on any motion (``file_errors``); where the last link or a payload is, the volume of
+its confidence ellipsoid (``Volume``).
+
 Joint j delivers equations tau_j = Y_j theta + Z_j x_j, theta the parameters of all links and x_j
 the unknowns of this joint alone, friction and torque scale, with the priors of the one fit
 (``expected_errors.prior_knowledge``). In units in which each prior has variance one, the inverse
 covariance of all unknowns is H = A^T A + P, A the equations over their noise and P a one for each
-unknown with a prior. The value is that of C = H^-1 for the parameters of the target:
-
-    ln det C / 2r,   dA = -A G / r,   G = C[:, t] (C[t, t])^-1 C[t, :],
-
-the logarithm of the geometric mean of the standard deviations along the axes of the confidence
-ellipsoid: a change of 0.01 is one of about 1 % (Bayesian D-optimality; Chaloner, Verdinelli,
-"Bayesian experimental design: a review", Statistical Science 10(3), 1995).
+unknown with a prior. A value with the derivative -tr(W dH) / 2 by H has -A W by A.
 
 Encoder zeros, gravity's direction and a delay are part of the predicted errors (``prediction``) but
 not of this number: for two arms they are less than a twentieth of any variance.
@@ -19,11 +17,13 @@ not of this number: for two arms they are less than a twentieth of any variance.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from robot_sysid.dynamics.friction import TERMS, top_speeds
+from robot_sysid.motion.file_errors import FileErrors
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.records.parameters import SCALE
@@ -39,16 +39,83 @@ class PriorKnowledge:
             are taken as known.
         joint_deviations: name of a friction term, or of the torque scale, to its prior standard
             deviation (rows,) at each joint; infinite where nothing is known.
-        target: what the motion is to identify: "link", "arm" for every link, or "payload".
+        file: what is known of the file of the whole arm; None where the last link or a payload is
+            to be identified, of which nothing is known.
     """
 
     link_factor: Array
     joint_deviations: Mapping[str, Array]
-    target: str = "link"
+    file: FileKnowledge | None = None
+
+
+@dataclass(frozen=True)
+class FileKnowledge:
+    """What is known of an arm's model file before there is a recording.
+
+    Attributes:
+        last_factor: (10, 10) F; the parameters of the terminal link have the prior covariance
+            F F^T.
+        held: names of those terms of joints that the file's fit has.
+        elsewhere: (3, N, n) q, qd and qdd of the motions on which the file is judged.
+    """
+
+    last_factor: Array
+    held: tuple[str, ...]
+    elsewhere: Array
+
+
+class Objective(Protocol):
+    """A number that depends on the information H about all unknowns."""
+
+    def value_and_weight(self, information: Array) -> tuple[float, Array]:
+        """Return the number v, and W (P, P) of dv = -tr(W dH) / 2, of an information H (P, P).
+
+        The number is infinite, and W zero, where H is singular.
+        """
+
+
+@dataclass(frozen=True)
+class Volume:
+    """The volume of the confidence ellipsoid of the first unknowns t, whose covariance is C:
+
+        ln det C[t, t] / 2r,   W = C[:, t] (C[t, t])^-1 C[t, :] / r,   C = H^-1,
+
+    the logarithm of the geometric mean of the standard deviations along its axes: a change of 0.01
+    is one of about 1 % (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design:
+    a review", Statistical Science 10(3), 1995).
+
+    Attributes:
+        count: number r of these unknowns.
+    """
+
+    count: int
+
+    def value_and_weight(self, information: Array) -> tuple[float, Array]:
+        """Return the value and W (P, P); (infinite, zeros) where the equations are singular."""
+        singular = np.inf, np.zeros_like(information)
+        length = np.sqrt(np.diag(information))
+        if not np.all(np.isfinite(length) & (length > 0.0)):
+            return singular
+        scaled = information / np.outer(length, length)
+        try:
+            pivots = np.diag(np.linalg.cholesky(scaled))
+        except np.linalg.LinAlgError:
+            return singular
+        # Smaller squared pivots, of a matrix with a unit diagonal, are rounding.
+        if np.min(pivots) ** 2 <= 1e-14:
+            return singular
+        covariance = np.linalg.inv(scaled) / np.outer(length, length)
+        count = self.count
+        of_target = covariance[:count, :count]
+        value = 0.5 * np.linalg.slogdet(of_target)[1] / count
+        weight = covariance[:, :count] @ np.linalg.solve(of_target, covariance[:count])
+        return value, weight / count
 
 
 class Criterion:
-    """The number that a design minimises, over all combinations of parameters that can be told.
+    """The number that a design minimises: a file's error, or what is left open of a body.
+
+    The latter is over all combinations of parameters that can be told.
 
     A combination counts if random motion has information about it: no trajectory of these joints
     can show more than unrelated random positions, velocities and accelerations do.
@@ -63,7 +130,8 @@ class Criterion:
 
     Attributes:
         visible: (10, r) directions in the space of the terminal link's parameters that are
-            identifiable by some motion, in units of the typical sizes of the parameters.
+            identifiable by some motion, in units of the typical sizes of the parameters; all, in
+            units of their prior, where the file of the whole arm is to be identified.
         hidden: (10, 10 - r) orthonormal directions that no motion identifies, of parameters over
             their typical sizes.
     """
@@ -84,7 +152,8 @@ class Criterion:
         self._smooth_speed = smoothing * problem.limits.velocity[self._joints]
         # All directions at first, and the noise of one torque [N m]: only shares count.
         scale = np.diag(problem.robot.prior.scale)
-        self._set_unknowns(knowledge, scale, np.ones(len(problem.rows)))
+        free = replace(knowledge, file=None)
+        self._set_unknowns(free, scale, np.ones(len(problem.rows)))
         information = self.information(random_motion(problem))
         cross = information[:10, 10:]
         precision = information[:10, :10] - cross @ np.linalg.solve(
@@ -94,16 +163,22 @@ class Criterion:
         is_visible = values > 1e-9 * values[-1]
         self.hidden: Array = vectors[:, ~is_visible]
         sigma = problem.sigma / np.sqrt(samples)
-        self._set_unknowns(knowledge, scale @ vectors[:, is_visible], sigma)
+        file = knowledge.file
+        shown = scale @ vectors[:, is_visible] if file is None else file.last_factor
+        self._set_unknowns(knowledge, shown, sigma)
+        self._objective: Objective = Volume(shown.shape[1])
+        if file is not None:
+            self._objective = self._file_errors(file, sigma)
 
     def _set_unknowns(
         self, knowledge: PriorKnowledge, visible: Array, sigma: Array
     ) -> None:
-        """Set the P unknowns: r visible directions, the other links', then each joint's own.
+        """Set the P unknowns: r directions of the last link, the other links', each joint's own.
 
         Args:
             knowledge: priors.
-            visible: (10, r) directions of the terminal link's parameters.
+            visible: (10, r) directions of the terminal link's parameters, of which something is
+                known where the whole arm's file is.
             sigma: (rows,) noise of each joint's torque [N m].
         """
         from scipy.linalg import block_diag
@@ -116,11 +191,9 @@ class Criterion:
         n_others = factor.shape[1]
         self.visible = visible
         self._n_links = n_visible + n_others
-        self._n_target = self._n_links if knowledge.target == "arm" else n_visible
         # (P,) prior information about each unknown.
-        self._prior = np.concatenate(
-            (np.zeros(n_visible), np.ones(n_others), has_prior.ravel())
-        )
+        of_last = np.full(n_visible, float(knowledge.file is not None))
+        self._prior = np.concatenate((of_last, np.ones(n_others), has_prior.ravel()))
         # (rows, 10 L + terms, P) columns of a joint's equations per unit of each unknown, over the
         # noise.
         changes = []
@@ -139,12 +212,13 @@ class Criterion:
 
     def evaluate(self, motion: Array) -> float:
         """Return the value of a motion q, qd and qdd (3, N, n); infinite if singular."""
-        return self._solve(self._columns(*motion))[0]
+        return self._objective.value_and_weight(self.information(motion))[0]
 
     def with_gradient(self, motion: Array) -> tuple[float, Array]:
         """Return the value of a motion (3, N, n) and its gradient by q, qd and qdd."""
         columns = self._columns(*motion)
-        value, weight = self._solve(columns)
+        information = self._information(columns)
+        value, weight = self._objective.value_and_weight(information)
         by_column = -self._changes @ weight @ self._changes.transpose(0, 2, 1) @ columns
 
         def total(q: Array, qd: Array, qdd: Array) -> Array:
@@ -154,6 +228,24 @@ class Criterion:
             return np.einsum("jkmn,jkn->mn", moved, by_column)
 
         return value, gradient_of(total, motion)
+
+    def _file_errors(self, file: FileKnowledge, sigma: Array) -> FileErrors:
+        """Return the errors of a file on the motions elsewhere, as a function of the information.
+
+        A constant torque at a joint counts as an offset of its sensor, and not as an error.
+        """
+        columns = self._columns(*file.elsewhere)
+        columns = columns - np.mean(columns, axis=2, keepdims=True)
+        size = self._changes.shape[2]
+        elsewhere = np.zeros((size, size))
+        for change, column, noise in zip(self._changes, columns, sigma):
+            rows = noise * column.T @ change
+            elsewhere += rows.T @ rows
+        is_held = [name in file.held for name in self._terms]
+        of_joints = np.tile(is_held, len(sigma))
+        of_links = np.ones(self._n_links, dtype=bool)
+        in_file = np.concatenate((of_links, of_joints))
+        return FileErrors.at_once(elsewhere, in_file)
 
     def _columns(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the columns (rows, 10 L + terms, N) of each joint's equations: those of the links'
@@ -186,28 +278,6 @@ class Criterion:
         ridge = 1e-12 * np.trace(information[self._n_links :, self._n_links :])
         information[joints, joints] += ridge
         return information
-
-    def _solve(self, columns: Array) -> tuple[float, Array]:
-        """Return the value, and G / r (P, P); (infinite, zeros) where equations are singular."""
-        information = self._information(columns)
-        singular = np.inf, np.zeros_like(information)
-        length = np.sqrt(np.diag(information))
-        if not np.all(np.isfinite(length) & (length > 0.0)):
-            return singular
-        scaled = information / np.outer(length, length)
-        try:
-            pivots = np.diag(np.linalg.cholesky(scaled))
-        except np.linalg.LinAlgError:
-            return singular
-        # Smaller squared pivots, of a matrix with a unit diagonal, are rounding.
-        if np.min(pivots) ** 2 <= 1e-14:
-            return singular
-        covariance = np.linalg.inv(scaled) / np.outer(length, length)
-        count = self._n_target
-        of_target = covariance[:count, :count]
-        value = 0.5 * np.linalg.slogdet(of_target)[1] / count
-        weight = covariance[:, :count] @ np.linalg.solve(of_target, covariance[:count])
-        return value, weight / count
 
 
 def random_motion(problem: ExcitationProblem) -> Array:

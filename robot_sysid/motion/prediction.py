@@ -25,6 +25,24 @@ LARGE_SHARE = 0.2
 
 
 @dataclass(frozen=True)
+class ExpectedFile:
+    """How far off a written model file is expected to be on motions all over the arm's range.
+
+    Attributes:
+        speed: highest speed of these motions [rad/s or m/s].
+        before: torque error of the given model over the torque, both root mean squares of all
+            joints together; constant torques, which sensors add, are no errors.
+        after: the same of the file.
+        friction: error of the file's friction over the friction; None where none is estimated.
+    """
+
+    speed: float
+    before: float
+    after: float
+    friction: float | None
+
+
+@dataclass(frozen=True)
 class Prediction:
     """Standard errors that are expected of an identification of one recording of a motion.
 
@@ -38,6 +56,7 @@ class Prediction:
             centre of mass [m].
         link_mass_errors: name of every other link to the standard error of its mass over its mass.
         invisible: combinations of parameters that no motion of these joints shows, in words.
+        file: what the written file is expected to be; None where a payload is weighed.
     """
 
     recordings: str
@@ -47,6 +66,7 @@ class Prediction:
     by_cause: Mapping[str, tuple[float, float]]
     link_mass_errors: Mapping[str, float]
     invisible: tuple[str, ...]
+    file: ExpectedFile | None = None
 
     @property
     def relative_mass_error(self) -> float:
@@ -90,8 +110,29 @@ def excess_text(excess: LimitUse) -> str:
     return f"{excess.name} ({over} over at {excess.time:.2f} s)"
 
 
+def file_line(file: ExpectedFile, mass_error: float) -> str:
+    """Return how far off a file is expected to be, as a sentence.
+
+    ``mass_error`` is the standard error of the mass of what the last link carries [kg].
+    """
+    details = []
+    if file.friction is not None:
+        details.append(f"friction to {percent(file.friction)}")
+    if np.isfinite(mass_error):
+        details.append(f"a load to {mass_error:.2g} kg")
+    sentence = (
+        f"After this motion the written file is expected to be {percent(file.after)} off on any "
+        f"motion (the model: {percent(file.before)})"
+    )
+    return "; ".join([sentence, ", ".join(details)]) if details else sentence
+
+
 def error_lines(prediction: Prediction) -> Iterator[str]:
-    """Yield the errors that an identification will state, and their largest causes."""
+    """Yield the errors to expect of the written file, those that an identification will state, and
+    the largest causes of these.
+    """
+    if prediction.file is not None:
+        yield file_line(prediction.file, float(prediction.errors[0]))
     yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
     mass = prediction.errors[0]
     centre = prediction.centre_error

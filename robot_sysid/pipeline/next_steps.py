@@ -124,5 +124,4 @@ def step_with_motion(
     """
     if purpose == "payload":
         return step_after("motion planned for payload", values, folder=folder)
-    links = ["--links"] if purpose == "arm" else []
-    return step_after(state, values, *links, folder=folder, log=log)
+    return step_after(state, values, folder=folder, log=log)

@@ -24,6 +24,7 @@ from robot_sysid.records.file_access import (
     atomic_files,
     file_sha256,
 )
+from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import NextStep, percent
 from robot_sysid.records.option_fields import (
     command_arguments,
@@ -35,6 +36,9 @@ from robot_sysid.wording import option_name
 
 # Poses of a motion in which the slopes of the weight are looked at.
 _SLOPE_ROWS = 1000
+LEAST_GAIN = 0.05
+"""Least share by which a motion has to lower the error to expect of a file, to be worth playing:
+what is promised of a file changes by as much with other made-up motions."""
 
 if TYPE_CHECKING:
     from robot_sysid.motion.prediction import Prediction
@@ -103,10 +107,31 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
         "next_step": step,
         "failure": failure,
         "prediction": lines,
+        "elsewhere": elsewhere_answer(prediction),
         "files": list(map(str, paths)),
     }
     lines = [*lines, *map("Trajectory saved to {}".format, paths)]
     return Written(paths, lines, verdict, failure, answer)
+
+
+def elsewhere_answer(prediction: Prediction | None) -> dict[str, float | None] | None:
+    """Return what the written file is expected to be on motions all over the arm's range.
+
+    That is the highest speed of these motions, relative errors of the model, the file and its
+    friction, and the error of the mass of a load [kg]; null where one is not determined. None
+    where nothing is expected of a file.
+    """
+    if prediction is None or prediction.file is None:
+        return None
+    file = prediction.file
+    load = float(prediction.errors[0])
+    return {
+        "speed": file.speed,
+        "before": file.before,
+        "after": file.after,
+        "friction": file.friction,
+        "load": load if np.isfinite(load) else None,
+    }
 
 
 def plan_verdict(shortfall: str, conditions: Sequence[str]) -> str:
@@ -169,28 +194,37 @@ def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
 
 
 def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
-    """Return what keeps a motion from its purpose; "" for nothing.
+    """Return why nothing gets better by a motion, the written file or a weighing; "" if it does.
 
     Args:
         config: the settings with which the motion was planned.
-        prediction: errors to expect of an identification from it; None where it serves another
-            purpose, or where they cannot be predicted.
+        prediction: errors to expect of an identification from it; None where they cannot be
+            predicted.
     """
-    from robot_sysid.motion.prediction import LARGE_SHARE
-
     if config.aim.purpose == WEIGHT:
         return ""
     if prediction is None:
         return "the errors that it will leave cannot be predicted"
-    share = prediction.relative_mass_error
+    if prediction.file is None:
+        return _weighing_shortfall(prediction)
+    file = prediction.file
+    if file.after > (1.0 - LEAST_GAIN) * file.before:
+        return (
+            "after this motion the written file is expected to be no better than the model, "
+            f"{percent(file.after)} off on any motion"
+        )
+    return ""
+
+
+def _weighing_shortfall(prediction: Prediction) -> str:
+    """Return why a motion tells nothing of the load that it is to weigh; "" where it does."""
     mass = f"the mass of {prediction.subject}"
+    share = prediction.relative_mass_error
     if np.isinf(share):
         # Where no motion determines the mass by these torques, the lines on the plan say so.
         is_said = bool(prediction.invisible)
         return "" if is_said else f"this motion does not determine {mass}"
-    # Two standard errors of half a mass reach zero.
-    largest = LARGE_SHARE if config.aim.target == "payload" else 0.5
-    if share > largest:
+    if INTERVAL * share >= 1.0:
         return f"after this motion {mass} is known to {percent(share)} only"
     return ""
 

@@ -344,7 +344,7 @@ def test_the_command_behind_a_rehearsal_identifies_the_simulated_arm(
     out = command.run("motors simulate", *played).out
     identify = re.search("identify the simulated arm .*\n  robot-sysid (.*)", out)[1]
     words = shlex.split(identify)
-    assert "--links" in words
+    assert words[:2] == ["identify", str(model)]
     out = command.run(*words).out
     assert "Usable" in out and "Use this file: rehearsed/updated_model.xml" in out
 

@@ -1,5 +1,7 @@
 """The number that a search minimises is a dense fit's covariance; its gradient is exact."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.random import default_rng
@@ -10,22 +12,31 @@ from rigs.arms import random_motion
 from rigs.excitation_arms import known_arm, link_covariance, make_problem, slope
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.motion.information import Criterion, PriorKnowledge
+from robot_sysid.motion.information import Criterion, FileKnowledge, PriorKnowledge
 
 DEVIATIONS = dict.fromkeys(("coulomb", "viscous", "offset", "armature"), np.inf)
 DEVIATIONS |= {"scale": 0.02, "load": 0.03, "sqrt": 0.1}
-TARGETS = ("link", "arm", "payload")
+HELD = ("coulomb", "viscous", "offset", "armature")
+TARGETS = ("link", "payload")
 
 
 def knowledge_of(problem, target):
-    """Return priors with errors of all links, none of them for a payload."""
+    """Return priors with errors of all links; of an arm's file also of the last one and of all
+    friction, for a payload of no link.
+    """
     others = 10 * (len(problem.links) - 1)
     factor = 0.1 * np.eye(others) + 0.01 * default_rng(0).normal(size=(others, others))
     if target == "payload":
         factor = np.zeros((others, 0))
     count = len(problem.rows)
     deviations = {term: np.full(count, size) for term, size in DEVIATIONS.items()}
-    return PriorKnowledge(factor, deviations, target)
+    if target != "arm":
+        return PriorKnowledge(factor, deviations)
+    sizes = {"coulomb": 0.5, "viscous": 0.2, "offset": 0.1, "armature": 0.05}
+    deviations |= {term: np.full(count, size) for term, size in sizes.items()}
+    last = 0.2 * np.diag(problem.robot.prior.scale)
+    elsewhere = random_motion(default_rng(2), problem.n_joints, 300)
+    return PriorKnowledge(factor, deviations, FileKnowledge(last, HELD, elsewhere))
 
 
 def dense_covariance(problem, knowledge, motion):
@@ -53,7 +64,7 @@ def dense_covariance(problem, knowledge, motion):
     own = range(size, len(precision))
     deviations = np.column_stack([*knowledge.joint_deviations.values()])
     precision[own, own] += deviations.ravel() ** -2.0
-    return np.linalg.inv(precision), size
+    return np.linalg.inv(precision)
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -63,22 +74,18 @@ def test_the_value_is_the_volume_of_a_dense_fits_covariance(xml, target):
     knowledge = knowledge_of(problem, target)
     motion = random_motion(default_rng(1), problem.n_joints, 200)
     criterion = Criterion(problem, knowledge, smoothing=1e-9)
-    covariance, size = dense_covariance(problem, knowledge, motion)
+    covariance = dense_covariance(problem, knowledge, motion)
     assert criterion.visible.shape == (10, 10)
     deviation = np.sqrt(np.diag(covariance)[:10])
     ours = link_covariance(criterion, motion) / np.outer(deviation, deviation)
     theirs = covariance[:10, :10] / np.outer(deviation, deviation)
     assert_allclose(ours, theirs, atol=1e-5)
-    count = size if target == "arm" else 10
-    units = np.eye(count)
-    units[:10, :10] = criterion.visible
-    units[10:, 10:] = knowledge.link_factor[: count - 10, : count - 10]
-    inverse = np.linalg.inv(units)
-    volume = np.linalg.slogdet(inverse @ covariance[:count, :count] @ inverse.T)[1]
-    assert criterion.evaluate(motion) == pytest.approx(volume / (2 * count), abs=1e-5)
+    inverse = np.linalg.inv(criterion.visible)
+    volume = np.linalg.slogdet(inverse @ covariance[:10, :10] @ inverse.T)[1]
+    assert criterion.evaluate(motion) == pytest.approx(volume / 20.0, abs=1e-5)
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", [*TARGETS, "arm"])
 def test_the_gradient_equals_differences(target):
     rng = default_rng(0)
     problem = make_problem(arms.THREE)
@@ -101,3 +108,31 @@ def test_what_no_motion_shows_does_not_count_and_what_this_one_hides_is_infinite
     assert criterion.evaluate(still) == np.inf
     lost = (motion[0], np.nan * motion[1], motion[2])
     assert criterion.evaluate(lost) == np.inf
+
+
+def test_a_file_is_worth_less_where_the_arm_stands_still_and_nothing_by_noise_alone():
+    problem = make_problem(arms.THREE)
+    knowledge = knowledge_of(problem, "arm")
+    criterion = Criterion(problem, knowledge)
+    motion = random_motion(default_rng(1), problem.n_joints, 200)
+    q, qd, qdd = motion
+    still = (q, 0.0 * qd, 0.0 * qdd)
+    assert criterion.evaluate(motion) < criterion.evaluate(still) < 0.0
+    noisy = Criterion(problem, knowledge, samples=1e-14)
+    assert noisy.evaluate(motion) == pytest.approx(0.0, abs=1e-9)
+    lost = (q, np.nan * qd, qdd)
+    assert criterion.evaluate(lost) == np.inf
+
+
+def test_constant_torques_are_no_errors_of_a_file():
+    """Sensors have offsets, which the judge of a file takes off, too."""
+    problem = make_problem(arms.THREE)
+    motion = random_motion(default_rng(1), problem.n_joints, 200)
+    values = []
+    for size in (0.1, 10.0):
+        knowledge = knowledge_of(problem, "arm")
+        offsets = np.full(len(problem.rows), size)
+        deviations = {**knowledge.joint_deviations, "offset": offsets}
+        knowledge = replace(knowledge, joint_deviations=deviations)
+        values.append(Criterion(problem, knowledge).evaluate(motion))
+    assert values[0] < values[1] < values[0] + 0.02

@@ -10,13 +10,14 @@ from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import starts
-from robot_sysid.motion.prediction import Prediction
+from robot_sysid.motion.prediction import ExpectedFile, Prediction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import planning
 from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.motors import arm_motors
 from robot_sysid.pipeline.planning import (
     draft_motor_file,
+    elsewhere_answer,
     motor_commands,
     plan_conditions,
     plan_verdict,
@@ -68,21 +69,37 @@ def still():
     return SineTrajectory(*np.zeros((1, 2)), *np.zeros((3, 2, 1)), 4.0, fade=1.0)
 
 
-def predicted(mass_error):
+def predicted(mass_error, file=None):
     """A made-up prediction for a mass of 1 kg."""
     errors = np.full(10, mass_error)
     causes = {"links": (mass_error, 0.1)}
-    return Prediction("Once", "link1", np.ones(10), errors, causes, {}, ())
+    return Prediction("Once", "link1", np.ones(10), errors, causes, {}, (), file)
+
+
+def expected(before, after):
+    """A made-up file: what its error is expected to be, and was."""
+    return ExpectedFile(speed=2.0, before=before, after=after, friction=0.1)
 
 
 @pytest.mark.parametrize(
     ("prediction", "verdict"),
     [
         (predicted(0.1), "Usable"),
-        (predicted(0.8), "Not ready: after this motion the mass of link1"),
+        (predicted(0.4), "Usable"),
+        (
+            predicted(0.5),
+            "Not ready: after this motion the mass of link1 is known to 50 %",
+        ),
         (
             predicted(np.inf),
             "Not ready: this motion does not determine the mass of link1",
+        ),
+        # Of a file its error on any motion counts, whatever is known of one mass.
+        (predicted(2.0, expected(0.4, 0.1)), "Usable"),
+        (predicted(np.inf, expected(0.4, 0.37)), "Usable"),
+        (
+            predicted(0.01, expected(0.4, 0.39)),
+            "Not ready: after this motion the written file is expected to be no better",
         ),
         (None, "Not ready: the errors that it will leave cannot be predicted"),
     ],
@@ -95,6 +112,19 @@ def test_the_step_after_a_motion_that_is_not_ready_does_not_play_it(
     written = write_plan(config, robot, CheckedPlan(still()))
     assert written.verdict[0].startswith(verdict)
     assert (written.result["next_step"] is None) == verdict.startswith("Not ready")
+
+
+def test_the_answer_has_what_is_expected_of_the_file():
+    assert elsewhere_answer(predicted(0.2, expected(0.4, 0.1))) == {
+        "speed": 2.0,
+        "before": 0.4,
+        "after": 0.1,
+        "friction": 0.1,
+        "load": 0.2,
+    }
+    assert elsewhere_answer(predicted(np.inf, expected(0.4, 0.1)))["load"] is None
+    assert elsewhere_answer(predicted(0.2)) is None
+    assert elsewhere_answer(None) is None
 
 
 @pytest.mark.parametrize(
