@@ -534,8 +534,12 @@ class Fit(Problem):
         return counts * self.noise**2 + self.equations.spread(inverse, blocks)
 
     def normal_without(self, blocks: Sequence[int]) -> Array:
-        """Return ``normal`` without the rows of some blocks."""
-        return self.normal - self.equations.data(self.weights, blocks)
+        """Return ``normal`` without the rows of some blocks.
+
+        It is that of the others: a difference would leave rounding where they show nothing.
+        """
+        others = [block for block in self.sums.blocks if block not in blocks]
+        return self.equations.prior + self.equations.data(self.weights, others)
 
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
         """Return (estimate (k,), inverse (k, k)) without some blocks."""

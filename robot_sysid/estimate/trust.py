@@ -50,7 +50,7 @@ def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
         ratio = np.sqrt(np.mean(np.square(ratios or [0.0])))
         if ratio > SURE:
             yield Verdict.UNEXPLAINED.remark(
-                f"torques of {test.source} are predicted {ratio:.1f} times worse than the noise "
+                f"torques of {test.source} are predicted {ratio:.2g} times worse than the noise "
                 "of the fit allows"
             )
     torque = fitted.torque

@@ -15,6 +15,7 @@ from robot_sysid.estimate.held_out import (
     predicted,
     validation,
 )
+from robot_sysid.estimate.trust import find_misfits
 
 BLOCKS = np.array([1.0, 2.0, 0.5, 1.0, 1.5])
 
@@ -120,3 +121,26 @@ def test_a_log_of_another_body_is_not_predicted(plant, robot):
     lighter = arms.robot_of(XML.replace('mass=".8"', 'mass=".5"'))
     assert max(errors_by_log(robot, [plant, lighter]).values()) > 0.1
     assert errors_by_log(robot, [plant]) == {}
+
+
+def test_a_log_in_which_a_joint_stood_still_does_not_speak_against_the_next(
+    plant, robot
+):
+    """It identifies nothing of that joint, so that it predicts nothing of it: no misfit."""
+    moving = log_of(plant, plan_of(plant, 1), 1, noise_torque=0.02)
+    still_plan = plan_of(plant, 2).scale_amplitudes(np.array([1.0, 0.0, 1.0]))
+    still = log_of(plant, still_plan, 2, noise_torque=0.02)
+    fitted = fit_recordings(robot, filter_logs(robot, still, moving))
+    sums = fitted.sums
+    first, second = dict.fromkeys(sums.logs)
+    assert not np.any(sums.counts[sums.is_of(first), 1])
+    # What is left are the rows of the others: a difference would leave rounding of the second log
+    # where the first one shows nothing, and numbers of 1e18 with it.
+    of_second, of_first = (
+        np.flatnonzero(sums.is_of(x)).tolist() for x in (second, first)
+    )
+    alone = fitted.equations.prior + fitted.equations.data(fitted.weights, of_first)
+    np.testing.assert_array_equal(fitted.normal_without(of_second), alone)
+    for test in held_out_logs(fitted):
+        assert test.relative_error < 0.1
+    assert not [*find_misfits(fitted, [validation(fitted), *held_out_logs(fitted)])]
