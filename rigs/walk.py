@@ -46,13 +46,18 @@ class TrueArm:
         robot: what the model says.
         seed: draws what differs.
         constants: torque per recorded ampere [N m/A]; 1 records torques.
+        carries: whether something is on its last link that the model lacks.
 
     Attributes:
         noise: (n,) standard deviation of the torque noise [N m].
     """
 
     def __init__(
-        self, robot: RobotModel, seed: int = 1, constants: Array | float = 1.0
+        self,
+        robot: RobotModel,
+        seed: int = 1,
+        constants: Array | float = 1.0,
+        carries: bool = True,
     ) -> None:
         self.robot = robot
         self._constants = constants
@@ -63,7 +68,11 @@ class TrueArm:
         typical = typical_torque(first.rigid)
         self.noise = 0.01 * typical
         coulomb = typical * self._rng.uniform(0.03, 0.1, robot.n_joints)
-        self._arm = replace(first.arm, coulomb=coulomb, viscous=coulomb, stribeck=0.0)
+        thetas = first.arm.thetas.copy()
+        if not carries:
+            thetas[-1] = robot.thetas[-1]
+        friction = {"coulomb": coulomb, "viscous": coulomb, "stribeck": 0.0}
+        self._arm = replace(first.arm, thetas=thetas, **friction)
 
     def record(self, path: Path, plan: MotionPlan, load: float) -> None:
         """Write the log of a motion with a load of this mass on the terminal link [kg]."""
@@ -169,6 +178,7 @@ class Walk:
                 remedies = []
             waiting += next_commands
             for remedy in remedies if self._runs_remedies else ():
+                self._record_missing(remedy)
                 self.remedies.append(Step(remedy, *run_here(remedy)))
         self.steps += [Step(line, 125, "not reached") for line in waiting]
         return self.steps

@@ -6,6 +6,7 @@ next until it says nothing more. The arm is simulated: its links differ from the
 
 from __future__ import annotations
 
+import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -123,6 +124,28 @@ def test_from_a_self_test_to_the_file_to_use(short_search):
     require_done(walk, "Use this file: ")
     names = [step.line.split()[1] for step in walk.steps]
     assert names[1:] == ["plan", "identify", "payload"]
+
+
+def test_the_second_motion_that_is_proposed_makes_the_file_better(short_search):
+    """At least half as much as its sentence says."""
+    path, _ = small_arm()
+    arm = TrueArm(load_robot_model(path), carries=False)
+    log = Path("first log.csv")
+    short = replace(arm.first_plan, duration=4.0, fade=1.0)
+    arm.record(log, short.scale_amplitudes(0.4), 0.0)
+    arm.tool_mass = 0.0
+    walk = Walk(arm, has_tool=False)
+    walk.follow(shlex.join(["robot-sysid", "identify", str(path), str(log)]))
+    require_done(walk, "If ")
+    plan, both = walk.remedies
+    assert plan.line.split()[1] == "plan" and "first log.csv" in both.line
+    first, second = (
+        json.loads((Path(folder) / "params.json").read_text())["file"]["elsewhere"]
+        for folder in ("sysid_output", "sysid_output/both")
+    )
+    after = second["after"]["relative_error"]
+    assert after < 0.9 * first["after"]["relative_error"]
+    assert after < 2.0 * first["next"]["relative_error"]
 
 
 @pytest.mark.slow
