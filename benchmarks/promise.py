@@ -87,11 +87,14 @@ DEVIATIONS = {"real": 0.6, "bent": 0.2, "priors": 0.2}
 """Deviation of ``draw_arm`` to its share of the arms."""
 DURATIONS = (3.0, 60.0)
 """Of the shortest and of the longest log [s]; their logarithms are uniform."""
+FRICTIONS = (0.03, 0.3)
+"""Least and largest Coulomb friction of a joint over its largest torque; their logarithms are
+uniform. Catalogue models of real arms, which mostly lack friction, are 5 to 90 % off in torque."""
 SLOWER = 0.3
 """Speed of slow logs, and size of small ones, over the usual."""
 SENSOR_OFFSET = 0.02
-"""Standard deviation of a torque sensor's offset, over the largest torque of its joint: with a third of
-the arms, 1 to 7 % of all torque, as those of real logs (0.5 to 6.5 %)."""
+"""Standard deviation of a torque sensor's offset, over the largest torque of its joint: 1 to 7 % of
+all torque, as those of real logs (0.5 to 6.5 %)."""
 FASTEST = 2.0
 """Highest speed of the motions on which files are judged, where no limit is lower [rad/s]."""
 JUDGES = 1000
@@ -250,7 +253,8 @@ class Draw:
         def move(plan: Any, rng: np.random.Generator) -> Motion:
             return all_over(robot, np.arange(0.0, 20.0, 0.1), rng)
 
-        truth = draw_arm(robot, deviation, has_sensors, 12.0, white, seed, move)
+        share = float(np.exp(rng.uniform(*np.log(FRICTIONS))))
+        truth = draw_arm(robot, deviation, has_sensors, 12.0, white, seed, move, share)
         largest = np.max(np.abs(truth.rigid), axis=0)
         has_offsets = bool(rng.random() < 1.0 / 3.0)
         offset = (
@@ -558,7 +562,8 @@ def promised_on(
 ) -> Errors:
     """Return the errors that are promised of a log's file in the motion of another log.
 
-    The arguments are those of ``errors_on``, and the log that makes the file.
+    The noise of that log's torques, which a judgement on it contains, is taken to be that of the
+    fit. The arguments are those of ``errors_on``, and the log that makes the file.
     """
     question = Question(EstimationOptions())
     fitted, _ = usable(diagnose(robot, [log], question, Progress()), (), Progress())
@@ -578,10 +583,11 @@ def promised_on(
         for name, is_offset in zip(sums.names, offsets)
     ]
     shares = []
+    noise = float(np.sum(sums.row_counts * fitted.noise**2))
     for free in (offsets | payload, payload):
         rest = gram[:-1, :-1]
         rest = rest - rest[:, free] @ np.linalg.pinv(rest[free][:, free]) @ rest[free]
-        squares = apart @ rest @ apart + np.sum(known.covariance() * rest)
+        squares = apart @ rest @ apart + np.sum(known.covariance() * rest) + noise
         shares.append(float(np.sqrt(squares / (torque @ gram @ torque))))
     return Errors(*shares)
 

@@ -107,10 +107,16 @@ class Judgement:
         )
         terms = []
         for term in arm_question(arm, question, self.torque):
+            prior = term.prior
             if term.cause == LAST_LINK:
-                term = replace(term, prior=self._last_link(options, is_replaced))
-            elif term.prior is None:
-                term = replace(term, prior=self._usual_friction(term))
+                prior = self._last_link(options, is_replaced)
+            if prior is None:
+                prior = self._usual_friction(term)
+            else:
+                # Priors of an estimate are as cautious as the errors that it prints.
+                share = usual_errors.ERRORS_AS_THEY_ARE
+                prior = Prior(prior.mean, share * prior.factor)
+            term = replace(term, prior=prior)
             if term.cause != DELAY:
                 terms.append(term)
         # A file's fit has the offsets of sensors whatever the friction model is.
