@@ -15,6 +15,7 @@ import numpy as np
 from robot_sysid.estimate.rows import Sums
 from robot_sysid.estimate.terms import DELAY, ArmTerms, Point
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records.messages import position_unit
 from robot_sysid.signals.filters import LowPass
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.trajectory import assumed_reach, random_sinusoids
@@ -61,6 +62,13 @@ def within_range(
     center = limits.center + room * rng.uniform(-1.0, 1.0, robot.n_joints)
     q = center + factor * shape.q
     return Motion(shape.time, q, factor * shape.qd, factor * shape.qdd)
+
+
+def highest_speed(robot: RobotModel, speeds: Array) -> tuple[float, str]:
+    """Return the highest of speeds (n,) of an arm's hinges and its unit; of slides, if all are."""
+    are_slides = bool(np.all(robot.is_slide))
+    highest = float(np.max(speeds[robot.is_slide == are_slides]))
+    return highest, f"{position_unit(are_slides)}/s"
 
 
 def sums_elsewhere(

@@ -44,7 +44,7 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.motion.elsewhere import made_up_motions, sums_elsewhere
+from robot_sysid.motion.elsewhere import highest_speed, made_up_motions, sums_elsewhere
 from robot_sysid.motion.file_errors import FileErrors
 from robot_sysid.motion.prediction import ExpectedFile
 from robot_sysid.motion.problem import ExcitationProblem
@@ -202,8 +202,11 @@ class Judgement:
         stated = model[self.sums.at([n for term in terms for n in term.names])][at]
         of_model = stated @ products[np.ix_(at, at)] @ stated
         friction_squares = of_model + np.trace(friction)
+        fastest = np.max([np.abs(each.qd) for each in self.motions], axis=(0, 1))
+        speed, unit = highest_speed(self.arm.robot, fastest)
         return ExpectedFile(
-            speed=float(np.max(np.abs([motion.qd for motion in self.motions]))),
+            speed=speed,
+            speed_unit=unit,
             before=float(np.sqrt(errors.before / torque_squares)),
             after=float(
                 np.sqrt(np.vdot(errors.elsewhere, covariance) / torque_squares)

@@ -29,7 +29,8 @@ class ExpectedFile:
     """How far off a written model file is expected to be on motions all over the arm's range.
 
     Attributes:
-        speed: highest speed of these motions [rad/s or m/s].
+        speed: highest speed of these motions.
+        speed_unit: its unit.
         before: torque error of the given model over the torque, both root mean squares of all
             joints together; constant torques, which sensors add, are no errors.
         after: the same of the file.
@@ -37,6 +38,7 @@ class ExpectedFile:
     """
 
     speed: float
+    speed_unit: str
     before: float
     after: float
     friction: float | None
@@ -119,10 +121,10 @@ def file_line(file: ExpectedFile, mass_error: float) -> str:
     if file.friction is not None:
         details.append(f"friction to {percent(file.friction)}")
     if np.isfinite(mass_error):
-        details.append(f"a load to {mass_error:.2g} kg")
+        details.append(f"a load to ± {mass_error:.2g} kg")
     sentence = (
         f"After this motion the written file is expected to be {percent(file.after)} off on any "
-        f"motion (the model: {percent(file.before)})"
+        f"motion up to {file.speed:.2g} {file.speed_unit} (the model: {percent(file.before)})"
     )
     return "; ".join([sentence, ", ".join(details)]) if details else sentence
 
@@ -133,7 +135,15 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
     """
     if prediction.file is not None:
         yield file_line(prediction.file, float(prediction.errors[0]))
-    yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
+    is_arm = prediction.file is not None
+    note = (
+        "; the torques that these numbers make together are known better"
+        if is_arm
+        else ""
+    )
+    yield (
+        f"{prediction.recordings}, it determines {prediction.subject} with these errors{note}:"
+    )
     mass = prediction.errors[0]
     centre = prediction.centre_error
     # The causes, the one with the largest error of the mass first.

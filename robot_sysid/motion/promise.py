@@ -48,10 +48,10 @@ from robot_sysid.estimate.terms import (
     ArmTerms,
     Term,
 )
-from robot_sysid.motion.elsewhere import made_up_motions, sums_elsewhere
+from robot_sysid.motion.elsewhere import highest_speed, made_up_motions, sums_elsewhere
 from robot_sysid.records import Array
 from robot_sysid.records.levels import LIKE_LOG, SURE
-from robot_sysid.records.messages import Detail, position_unit, says
+from robot_sysid.records.messages import Detail, says
 from robot_sysid.results.record import (
     Elsewhere,
     ErrorPart,
@@ -519,20 +519,19 @@ class Promise:
         before = self._errors(model, self._fast)
         after = self._errors(file.by_name, self._fast)
         of_log = self._errors(file.by_name, self._slow).errors
-        is_slide = self._robot.is_slide
-        is_of_slides = bool(np.all(is_slide))
-        speed = float(np.max(self._highest[is_slide == is_of_slides]))
+        speed, unit = highest_speed(self._robot, self._highest)
+        log_speed, _ = highest_speed(self._robot, self._slowly)
         share = after.errors.relative_error
         to_record = ""
         if share >= FASTER * of_log.relative_error:
             to_record = after.worst_joint
         return Elsewhere(
             speed=speed,
-            speed_unit=f"{position_unit(is_of_slides)}/s",
+            speed_unit=unit,
             before=before.errors,
             after=after.errors,
             at_log_speeds=of_log,
-            log_speed=float(np.max(self._slowly[is_slide == is_of_slides])),
+            log_speed=log_speed,
             faster=to_record,
             still=self.still,
             parts=after.largest_parts(parts_of(fitted.arm, self._fast)),
@@ -619,8 +618,8 @@ class Promise:
             listed = "all joints" if are_all else ", ".join(joints)
             yield (
                 f"the logs are slow for {listed}: friction at twice their speed and more is not "
-                "measured, so that the error to expect on other motions is a cautious one there, "
-                "up to twice the true one"
+                "measured, so that the error to expect on other motions is more likely too high, "
+                "at most twice, than too low"
             )
         offsets = fitted.arm.terms[OFFSET.name].parameters
         clear = [

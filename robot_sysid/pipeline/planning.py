@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -114,7 +114,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     return Written(paths, lines, verdict, failure, answer)
 
 
-def elsewhere_answer(prediction: Prediction | None) -> dict[str, float | None] | None:
+def elsewhere_answer(prediction: Prediction | None) -> dict[str, Any] | None:
     """Return what the written file is expected to be on motions all over the arm's range.
 
     That is the highest speed of these motions, relative errors of the model, the file and its
@@ -127,6 +127,7 @@ def elsewhere_answer(prediction: Prediction | None) -> dict[str, float | None] |
     load = float(prediction.errors[0])
     return {
         "speed": file.speed,
+        "speed_unit": file.speed_unit,
         "before": file.before,
         "after": file.after,
         "friction": file.friction,
@@ -145,7 +146,7 @@ def plan_verdict(shortfall: str, conditions: Sequence[str]) -> str:
         return f"Not ready: {shortfall}"
     if conditions:
         return f"Usable once {', and once '.join(conditions)}"
-    return "Usable: play it on the arm, slowly at first, and record it"
+    return "Usable: play it on the arm, slowly at first, then record it at full speed"
 
 
 def plan_conditions(checked: CheckedPlan) -> list[str]:

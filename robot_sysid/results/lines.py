@@ -232,7 +232,7 @@ def elsewhere_text(elsewhere: Content) -> str:
     if elsewhere["faster"]:
         of_log = percent(elsewhere["at_log_speeds"]["relative_error"])
         slow = f"{elsewhere['log_speed']:.2g} {elsewhere['speed_unit']}"
-        text += f", {of_log} at the log's speeds, up to {slow}"
+        text += f", as slow as the log ({slow}) {of_log}"
         lacking.append(f"record faster, mostly {elsewhere['faster']}")
     if elsewhere["still"]:
         lacking.append(f"{', '.join(elsewhere['still'])} stood still")

@@ -78,7 +78,9 @@ def predicted(mass_error, file=None):
 
 def expected(before, after):
     """A made-up file: what its error is expected to be, and was."""
-    return ExpectedFile(speed=2.0, before=before, after=after, friction=0.1)
+    return ExpectedFile(
+        speed=2.0, speed_unit="rad/s", before=before, after=after, friction=0.1
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,6 +119,7 @@ def test_the_step_after_a_motion_that_is_not_ready_does_not_play_it(
 def test_the_answer_has_what_is_expected_of_the_file():
     assert elsewhere_answer(predicted(0.2, expected(0.4, 0.1))) == {
         "speed": 2.0,
+        "speed_unit": "rad/s",
         "before": 0.4,
         "after": 0.1,
         "friction": 0.1,
