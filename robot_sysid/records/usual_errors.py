@@ -170,4 +170,4 @@ ERRORS_AS_THEY_ARE = 0.7
 """Errors of arms as they are over those that are printed, which have to hold one by one: root mean
 squares of 80 simulated logs are 0.53 for the last link's mass, 0.71 for Coulomb and 0.69 for
 viscous friction. With errors as printed, files are 0.74 times as far off on other motions as is
-expected (median of 99; of four pairs of logs of a KUKA 0.65), with this 0.90 times."""
+expected (median of 99; of four pairs of logs of a KUKA 0.65), with this 0.83 and 0.75 times."""
