@@ -62,7 +62,8 @@ from robot_sysid.results.record import (
 
 MOST_RAISED = 2.0
 """Most by which the jackknife raises an error here: it is uncertain itself, and of ten blocks its
-largest values are chance (without it 92 % of promises are within 1.5, with it 97 %)."""
+largest values are chance. Without it, 92 % of 36 pairs of real logs were within 1.5, with it 97 %.
+"""
 SLOWEST = 0.2
 """Least speed of motions like a log's [rad/s or m/s]: a joint that hardly moved has none."""
 PARTS = 5
@@ -230,7 +231,7 @@ def _drawn_values(
 
 
 def _padded(normal: Array) -> Array:
-    """Return products (p, p) of columns as those (p + 1, p + 1) with a torque, which is zero."""
+    """Return products (p, p) of columns as (p + 1, p + 1), those with a torque of zero beside."""
     return np.pad(normal, (0, 1))
 
 
@@ -593,13 +594,10 @@ class Promise:
         of_file = file.at([name for name in file.names if name in names])
         at = sums.at([file.names[k] for k in of_file])
         values = np.array([file.by_name.get(name, 0.0) for name in names])
-        normal = file.normal[of_file[:, None], of_file]
-        gained = rows[at] @ (self._known.values - values)
-        scale = np.sqrt(np.diag(normal) + np.diag(rows)[at])
-        moved = np.linalg.solve(
-            (normal + rows[at[:, None], at]) / np.outer(scale, scale), gained / scale
-        )
-        values[at] += moved / scale
+        normal = _padded(file.normal[of_file[:, None], of_file] + rows[at[:, None], at])
+        normal[:-1, -1] = rows[at] @ (self._known.values - values)
+        moved, _ = solve(normal, np.zeros(len(at)))
+        values[at] += moved
         return zip(names, values.tolist())
 
     def limits(self) -> Iterator[str]:
