@@ -202,7 +202,8 @@ class Judgement:
         stated = model[self.sums.at([n for term in terms for n in term.names])][at]
         of_model = stated @ products[np.ix_(at, at)] @ stated
         friction_squares = of_model + np.trace(friction)
-        fastest = np.max([np.abs(each.qd) for each in self.motions], axis=(0, 1))
+        speeds = np.concatenate([each.qd for each in self.motions])
+        fastest = np.max(np.abs(speeds), axis=0)
         speed, unit = highest_speed(self.arm.robot, fastest)
         return ExpectedFile(
             speed=speed,
