@@ -49,8 +49,8 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
     "further motion": (
-        "If {now} on other motions is too much, plan a second motion: with both logs, about "
-        "{expected} is expected on the same",
+        "If {now} on other motions is too much, plan a second motion: with both logs about "
+        "{expected} is expected there",
         "plan {model} {options} --output-dir {folder}/planned",
     ),
     "further motion recorded": (
