@@ -8,7 +8,7 @@ Shapes: n joints of the chain, J joints with equations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -281,11 +281,12 @@ def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
     if FILE_LINKS in unchanged or estimate.question.options.priors.link <= 0.0:
         left_out.add(LINKS)
     terms = []
+    settled = settled_values(estimate)
     for key, term in arm.terms.items():
         if key in left_out or not (term.bodies or term.parameters[0].attribute):
             continue
         if term.bodies:
-            term = _near(estimate, term)
+            term = _near(estimate, term, settled)
         if key == LAST_LINK:
             hanging = [each.theta for each in arm.robot.bodies if not each.welded]
             least = ROOM * np.sum([np.zeros(N_INERTIAL), *hanging], axis=0)
@@ -330,16 +331,15 @@ def settled_values(fitted: Fit) -> dict[str, float]:
     return values
 
 
-def _near(estimate: Fit, term: Term) -> Term:
+def _near(estimate: Fit, term: Term, settled: Mapping[str, float]) -> Term:
     """Return a term of bodies with the identified numbers and their errors as its prior.
 
     A file lacks terms, and its bodies would take up their torque. Errors of single parameters leave
     to the torques the combinations that they show, and hold the numbers by which one reads them:
     other runs of a KUKA are predicted up to 8 % better than without it. Masses stay as they are:
-    what torques show is left to first moments and inertias.
+    what torques show is left to first moments and inertias. The numbers are ``settled_values``.
     """
     at = estimate.at(term.names)
-    settled = settled_values(estimate)
     values = np.array([settled[name] for name in term.names])
     bodies = map(InertialParameters, values.reshape(-1, N_INERTIAL))
     wide = np.concatenate([WIDE * body.scale for body in bodies])

@@ -71,6 +71,16 @@ def highest_speed(robot: RobotModel, speeds: Array) -> tuple[float, str]:
     return highest, f"{position_unit(are_slides)}/s"
 
 
+def without_constant(products: Array, offset: int) -> Array:
+    """Return products (p, p) of rows from which the constant torque of one joint is taken out.
+
+    ``offset`` is the index of the column of its sensor's offset, which looks the same.
+    """
+    own = products[offset]
+    count = own[offset]
+    return products - np.outer(own, own) / count if count else products
+
+
 def sums_elsewhere(
     arm: ArmTerms, point: Point, motions: Sequence[Motion], is_loaded: bool = False
 ) -> Sums:

@@ -44,7 +44,12 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.motion.elsewhere import highest_speed, made_up_motions, sums_elsewhere
+from robot_sysid.motion.elsewhere import (
+    highest_speed,
+    made_up_motions,
+    sums_elsewhere,
+    without_constant,
+)
 from robot_sysid.motion.file_errors import FileErrors
 from robot_sysid.motion.prediction import ExpectedFile
 from robot_sysid.motion.problem import ExcitationProblem
@@ -159,10 +164,9 @@ class Judgement:
         """
         products = products_of(self.sums, terms, np.ones(len(self.torque)))
         names = [name for term in terms for name in term.names]
-        at = [names.index(name) for name in self.arm.terms[OFFSET.name].names]
-        constant = products[at]
-        squares = np.diag(constant[:, at])[:, None]
-        return products - constant.T @ (constant / np.maximum(squares, 1e-300))
+        for name in self.arm.terms[OFFSET.name].names:
+            products = without_constant(products, names.index(name))
+        return products
 
     def expected_file(self, fitted: Fit, is_replaced: bool) -> ExpectedFile:
         """Return what the file is expected to be that is fitted to a planned motion's recording.

@@ -89,8 +89,8 @@ class FileErrors:
         """Return ln(E / E_0) / 2 and W / E (P, P) of a file whose terms are fitted at once.
 
         E_0 are the squares of the model's error. A value that is 0.01 lower is an error that is 1 %
-        smaller. It is infinite, and the weight
-        zero, where the information H + 1 (P, P) is not finite.
+        smaller. It is infinite, and the weight zero, where the information H + 1 (P, P) is not
+        finite.
         """
         weight = np.zeros_like(information)
         if not np.all(np.isfinite(information)):

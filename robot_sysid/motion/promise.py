@@ -48,7 +48,12 @@ from robot_sysid.estimate.terms import (
     ArmTerms,
     Term,
 )
-from robot_sysid.motion.elsewhere import highest_speed, made_up_motions, sums_elsewhere
+from robot_sysid.motion.elsewhere import (
+    highest_speed,
+    made_up_motions,
+    sums_elsewhere,
+    without_constant,
+)
 from robot_sysid.records import Array
 from robot_sysid.records.levels import LIKE_LOG, SURE
 from robot_sysid.records.messages import Detail, says
@@ -167,7 +172,7 @@ def knowledge_of(fitted: Fit, sums: Sums) -> Knowledge:
     at = np.flatnonzero(known)
     of_fit = fitted.at([*itertools.compress(sums.names, known)])
     precision = np.zeros((len(known), len(known)))
-    precision[at[:, None], at] = _without_others(fitted.normal[:-1, :-1], of_fit)
+    precision[at[:, None], at] = _marginal(fitted.normal[:-1, :-1], of_fit)
     formal = np.maximum(np.diag(fitted.inverse), 1e-300)
     of_data = np.sqrt(np.clip(fitted.jackknife / formal, 1.0, MOST_RAISED**2))
     raised = np.ones(len(known))
@@ -179,8 +184,11 @@ def knowledge_of(fitted: Fit, sums: Sums) -> Knowledge:
         wide[sums.names.index(name)] = error**-2
     loosened = _loosened_offsets(fitted, sums)
     precision -= np.diag(loosened)
-    values = _drawn_values(fitted, sums, precision, wide, loosened)
-    for name, error in _still_errors(fitted, sums):
+    settled = settled_values(fitted)
+    of_sums = np.array([settled[name] for name in sums.names])
+    last = sums.at(fitted.arm.terms[LAST_LINK].names)
+    values = _drawn_values(of_sums, last, precision, wide, loosened)
+    for name, error in _still_errors(fitted, sums, of_sums):
         wide[sums.names.index(name)] = error**-2
     first = fitted.recordings[0]
     return Knowledge(
@@ -209,26 +217,26 @@ def _loosened_offsets(fitted: Fit, sums: Sums) -> Array:
 
 
 def _drawn_values(
-    fitted: Fit, sums: Sums, precision: Array, wide: Array, loosened: Array
+    values: Array,
+    last: NDArray[np.int64],
+    precision: Array,
+    wide: Array,
+    loosened: Array,
 ) -> Array:
     """Return the values (p,) of a fit under other priors than its own.
 
     Args:
-        fitted: the fit.
-        sums: of made-up motions.
+        values: (p,) of the fit.
+        last: (10,) indices of the last link's, which its wide prior has drawn already.
         precision: (p, p) of data and priors.
-        wide: (p,) precision of wide priors, the last link's around the model's and others around
-            zero.
+        wide: (p,) precision of wide priors, around zero.
         loosened: (p,) precision that priors around zero have lost.
     """
-    settled = settled_values(fitted)
-    values = np.array([settled[name] for name in sums.names])
-    of_nothing = np.zeros(len(values))
-    last = sums.at(fitted.arm.terms[LAST_LINK].names)
-    of_nothing[last] = values[last]
+    mean = np.zeros(len(values))
+    mean[last] = values[last]
     normal = precision + np.diag(wide)
     _, inverse = solve(_padded(normal), values, np.diag(normal) > 0.0)
-    return values + inverse @ (wide * (of_nothing - values) + loosened * values)
+    return values + inverse @ (wide * (mean - values) + loosened * values)
 
 
 def _padded(normal: Array) -> Array:
@@ -241,8 +249,8 @@ def is_without_rows(fitted: Fit) -> NDArray[np.bool_]:
     return np.sum(fitted.sums.counts, axis=0) == 0
 
 
-def _without_others(normal: Array, at: NDArray[np.int64]) -> Array:
-    """Return the precision (m, m) of some parameters, of which all others are unknown, too.
+def _marginal(normal: Array, at: NDArray[np.int64]) -> Array:
+    """Return the marginal precision (m, m) of some parameters: the others are not known either.
 
     Made-up motions lack a column of a log, that of its delay.
     """
@@ -270,10 +278,8 @@ def _unknown_sizes(fitted: Fit, sums: Sums, term: Term) -> Iterator[tuple[str, f
 
     A parameter whose column made-up motions lack is left out.
     """
-    is_offset = term.key == OFFSET.name
-    share = usual_errors.UNKNOWN_OFFSET if is_offset else usual_errors.UNKNOWN_JOINT
     torque = fitted.sums.rms_torque
-    sizes = share * torque
+    sizes = usual_errors.UNKNOWN_JOINT * torque
     if term.key == VISCOUS.name:
         dry = np.maximum(fitted.question.dry or 0.0, LEAST_DRY * torque)
         sizes = np.minimum(sizes, usual_errors.VISCOUS_OVER_DRY * dry)
@@ -285,7 +291,9 @@ def _unknown_sizes(fitted: Fit, sums: Sums, term: Term) -> Iterator[tuple[str, f
             yield name, float(np.max(sizes[is_seen] / own[is_seen]))
 
 
-def _still_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
+def _still_errors(
+    fitted: Fit, sums: Sums, values: Array
+) -> Iterator[tuple[str, float]]:
     """Yield the dry friction of each joint that stood still, and how far off it may be [N m].
 
     It is as far off as that of the joint of which the model's friction clearly is farthest off, by
@@ -294,6 +302,8 @@ def _still_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
     proportion.
     """
     is_still = is_without_rows(fitted)
+    if not np.any(is_still):
+        return
     names = [
         parameter.key
         for term in fitted.equations.terms
@@ -307,8 +317,7 @@ def _still_errors(fitted: Fit, sums: Sums) -> Iterator[tuple[str, float]]:
     off[at] = [fitted.by_name[name] - fitted.arm.model.get(name, 0.0) for name in names]
     errors = np.zeros((len(off), len(off)))
     errors[at[:, None], at] = fitted.covariance[own[:, None], own]
-    settled = settled_values(fitted)
-    whole = np.append([settled[name] for name in sums.names], -1.0)
+    whole = np.append(values, -1.0)
     sizes = []
     torques = []
     for gram, count in zip(grams(sums), sums.row_counts):
@@ -432,16 +441,10 @@ def expected_squares(
         torques.append(torque @ gram @ torque)
         gram = gram[:-1, :-1]
         if not counts_offsets:
-            gram = _without_mean(gram, sums.names.index(offset))
+            gram = without_constant(gram, sums.names.index(offset))
         own = np.sum(covariance * gram, axis=1)
         of_parameters.append(apart * (gram @ apart) + own)
     return ExpectedSquares(sums.joints, np.array(of_parameters), np.array(torques))
-
-
-def _without_mean(gram: Array, offset: int) -> Array:
-    """Return products (p, p) of a joint's rows whose means, as its offset's column, are out."""
-    count = gram[offset, offset]
-    return gram - np.outer(gram[offset], gram[offset]) / count if count else gram
 
 
 def largest_errors(
@@ -606,8 +609,8 @@ class Promise:
         fitted = self._fitted
         for joint in self.still:
             yield (
-                f"{joint} stood still: the error on other motions takes its friction to be as "
-                "large as the largest that was found, and its rotor to be the model's"
+                f"{joint} stood still: the error on other motions takes its friction to be as far "
+                "off the model's as that of other joints, and its rotor to be the model's"
             )
         is_fast = self._highest > FASTER * np.maximum(self._of_log, SLOWEST)
         moved = [name not in self.still for name in self._robot.joint_names]

@@ -146,7 +146,7 @@ def plan_verdict(shortfall: str, conditions: Sequence[str]) -> str:
         return f"Not ready: {shortfall}"
     if conditions:
         return f"Usable once {', and once '.join(conditions)}"
-    return "Usable: play it on the arm, slowly at first, then record it at full speed"
+    return "Usable: play it on the arm, slowly at first, then record it as planned"
 
 
 def plan_conditions(checked: CheckedPlan) -> list[str]:

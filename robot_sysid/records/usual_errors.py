@@ -73,8 +73,6 @@ LARGE_OFFSET = 3.0
 """Offset of a torque sensor that an error on other motions allows for, over ``OFFSET``: sensors of
 real logs make 0.5 to 6.5 % of all torque. With the usual one, a third of the files of simulated
 arms with as large offsets were over 1.5 times as far off as expected."""
-UNKNOWN_OFFSET = 1.0
-"""Offset of a torque sensor of which nothing is known, as a share of its joint's torque."""
 FRICTION_CHANGE = 0.1
 """Relative change of friction from one log to another one, of another day or of a warmer gear: five
 logs of a UR10e differ by 2.5 standard errors of a single one."""

@@ -29,6 +29,7 @@ from robot_sysid.report.drawing import Figure, drawing_style
 from robot_sysid.report.pictures import pictures
 from robot_sysid.report.runs import Run
 from robot_sysid.results.content import Content
+from robot_sysid.results.lines import named_first
 from robot_sysid.results.quantities import BEYOND
 from robot_sysid.results.record import Verdict
 from robot_sysid.results.table import (
@@ -107,6 +108,7 @@ def write_report(
 def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str, Any]:
     """Return what the template of a run's page is filled with."""
     card = run.folder / CARD_NAME
+    file = run.content["file"]
     images, no_pictures = pictures(run, mesh_dir)
     with drawing_style():
         drawn = _figures_of(run, progress)
@@ -117,6 +119,7 @@ def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str,
         "pictures": images,
         "no_pictures": no_pictures,
         "card": card.read_text("utf-8") if card.is_file() else "",
+        "elsewhere": file and named_first(file)["elsewhere"],
     }
 
 
