@@ -569,9 +569,7 @@ def promised_on(
     fitted, _ = usable(diagnose(robot, [log], question, Progress()), (), Progress())
     held = fit_file(fitted).by_name
     terms = fitted.arm.of(t for t in fitted.arm.terms.values() if t.cause != DELAY)
-    unknown = [
-        piece.using(piece.used, tau=0.0 * piece.tau, _kept={}) for piece in pieces
-    ]
+    unknown = [piece.using(piece.used, tau=0.0 * piece.tau) for piece in pieces]
     sums = terms.sums(unknown, fitted.point, in_blocks=False)
     known = knowledge_of(fitted, sums)
     offsets = np.isin(sums.names, [OFFSET.key_of(joint) for joint in sums.joints])

@@ -120,7 +120,7 @@ class Relabelling:
             tau=recording.tau @ self.torque.T,
             touched=(),
             # The direction of friction is that of the speed.
-            _kept={"coulomb": dry @ np.sign(position)},
+            columns={"coulomb": dry @ np.sign(position)},
         )
 
     @property
@@ -261,7 +261,7 @@ class Search:
         # 250 rows tell readings apart.
         every = max(1, sum(map(len, fitted.recordings)) // 250)
         self.recordings = [
-            recording.using(recording.used[::every], every=every, _kept={})
+            recording.using(recording.used[::every], every=every)
             for recording in fitted.recordings
         ]
 

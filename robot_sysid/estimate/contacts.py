@@ -62,7 +62,8 @@ def without_contacts(fitted: Fit) -> Fit:
     recordings = []
     means = mean_sizes(judged, sizes)
     for recording, own in zip(fitted.recordings, fitted.split(means)):
-        recordings.append(replace(recording, touched=(*_stretches(recording, own),)))
+        touched = (*_stretches(recording, own),)
+        recordings.append(replace(recording, touched=touched, chosen=None))
     marked = replace(fitted, recordings=tuple(recordings))
     kept = [~touched_rows(recording) for recording in recordings]
     count = sum(len(recording.touched) for recording in recordings)

@@ -65,7 +65,8 @@ class Rows:
         They are kept with the recording by their ``key``: do not change them.
         """
         recording = self.recording
-        return recording.kept(key, lambda: recording.filter_columns(make))[self.span]
+        columns = recording.kept.get(key, lambda: recording.filter_columns(make))
+        return columns[self.span]
 
     def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
         """Return the torque (m, n) of links with parameters ``thetas`` (n, 10) [N m], kept like
@@ -79,7 +80,7 @@ class Rows:
             return np.concatenate([*torques])
 
         key = "links", gravity.tobytes(), thetas.tobytes()
-        return self.recording.kept(key, make)[self.span]
+        return self.recording.kept.get(key, make)[self.span]
 
 
 def row_chunks(recording: FilteredRecording, width: int) -> Iterator[Rows]:

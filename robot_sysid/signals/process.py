@@ -55,6 +55,25 @@ PINION = 0.05
 """Usual radius of the pinion that moves a slide [m]; screws turn round within less travel."""
 
 
+class KeptColumns:
+    """Columns that were made of a recording's samples, by key, so that each is made once.
+
+    Recordings of the same samples, of which other rows are used, share them.
+
+    Args:
+        columns: key to those that are known from the start.
+    """
+
+    def __init__(self, columns: Mapping[object, Array] | None = None) -> None:
+        self._columns = dict(columns or {})
+
+    def get(self, key: object, make: Callable[[], Array]) -> Array:
+        """Return the columns of a key, made where they are asked for first: do not change them."""
+        if key not in self._columns:
+            self._columns[key] = make()
+        return self._columns[key]
+
+
 @dataclass(frozen=True)
 class FilteredRecording:
     """A recording, low-passed: K rows (instants) of equations, made from N samples of n joints.
@@ -82,6 +101,8 @@ class FilteredRecording:
             the cut-off was given.
         touched: stretches in which torque is left over that is ordinary at no other time.
         every: of how many rows one counts.
+        chosen: (K, n) rows that are used; None for all that the signals allow (``used``).
+        kept: columns that were made of the samples.
     """
 
     time: Array
@@ -100,7 +121,8 @@ class FilteredRecording:
     acceleration_error: float = 0.0
     touched: tuple[Stretch, ...] = ()
     every: int = 1
-    _kept: dict[object, Any] = field(default_factory=dict, compare=False)
+    chosen: Mask | None = None
+    kept: KeptColumns = field(default_factory=KeptColumns, compare=False)
 
     @classmethod
     def exact(
@@ -170,7 +192,11 @@ class FilteredRecording:
 
     @cached_property
     def used(self) -> Mask:
-        """Which rows (K, n) may be used: of joints with torque, where friction has a direction."""
+        """Which rows (K, n) may be used: those that were chosen, else those of joints with torque
+        where friction has a direction.
+        """
+        if self.chosen is not None:
+            return self.chosen
         return self.is_moving & self.has_torque
 
     def at_turns(self, travel: float) -> Mask:
@@ -186,15 +212,21 @@ class FilteredRecording:
         """Return the recording in which some rows, (K,) or (K, n), are used at most."""
         return self.using((self.used.T & rows.T).T)
 
-    def using(self, used: Mask, **changes: Any) -> FilteredRecording:
+    def using(
+        self, used: Mask, columns: Mapping[object, Array] | None = None, **changes: Any
+    ) -> FilteredRecording:
         """Return the recording with changed fields, of whose rows those (K, n) are used.
 
-        They take the place of what would follow from the signals (``used``); a later ``replace``
-        of fields does not carry them on.
+        Columns that were made of this recording are those of the other one only where no field
+        changes.
+
+        Args:
+            used: the rows.
+            columns: key to columns that are known of the changed recording.
+            changes: fields.
         """
-        changed = replace(self, **changes)
-        changed.__dict__["used"] = used
-        return changed
+        kept = KeptColumns(columns) if changes else self.kept
+        return replace(self, chosen=used, kept=kept, **changes)
 
     def filter_columns(self, make: Callable[[Motion], Array]) -> Array:
         """Return columns (K, ...) that are made from the motion, low-passed and decimated.
@@ -211,12 +243,6 @@ class FilteredRecording:
             last = first + (count - 1) * low_pass.step + reach
             blocks.append(low_pass.decimate(make(self.samples(slice(first, last)))))
         return np.concatenate(blocks)[:: self.every]
-
-    def kept(self, key: object, make: Callable[[], Array]) -> Array:
-        """Return what is made of the recording, and kept by a key: do not change it."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        return self._kept[key]
 
 
 def low_pass_uniform(
