@@ -14,7 +14,7 @@ from rigs import arms
 from rigs.refusals import refused
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_logs
-from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.table import LATER, LogTable, make_table
 from robot_sysid.records import Limits, Recording, RobotModel
 
 JOINTS = ("base", "elbow", "wrist")
@@ -87,7 +87,8 @@ def open_log(robot: RobotModel, source: Any, *options: Any) -> Recording:
 
 def titles_alone(titles: Sequence[str], first_row: Sequence[str] = ()) -> LogTable:
     """A log of which only the titles matter."""
-    return LogTable(Path("log"), "", tuple(titles), iter, first_row=tuple(first_row))
+    columns = [(title, LATER) for title in titles]
+    return make_table(Path("log"), "", columns, first_row=tuple(first_row))
 
 
 def read_measurements(

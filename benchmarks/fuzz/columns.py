@@ -12,7 +12,7 @@ from benchmarks.fuzz.mutations import damage_bytes, damaged_json, damaged_table,
 from rigs import log_files
 from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.table import LogTable, array_blocks
+from robot_sysid.logs.table import LogTable, make_table
 from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
 
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
@@ -44,9 +44,7 @@ def _log() -> LogTable:
     """Return a log whose titles cannot be recognised."""
     titles = ("Zeit", "A1", "A2", "A3", "M1", "M2", "M3")
     cells = log_files.table(log_files.motion(30, 40.0))
-    return LogTable(
-        Path("log"), "arrays", tuple(titles), functools.partial(array_blocks, (cells,))
-    )
+    return make_table(Path("log"), "arrays", zip(titles, cells.T))
 
 
 def case(random: Random) -> Case:

@@ -11,7 +11,6 @@ import statistics
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
@@ -25,12 +24,14 @@ from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.table import (
     ROWS,
+    BlockReader,
     Chunk,
     LogTable,
-    array_blocks,
     as_input_errors,
     chunk_blocks,
     import_optional,
+    make_table,
+    nested_name,
 )
 from robot_sysid.logs.text import is_names
 from robot_sysid.logs.titles import read_title
@@ -42,13 +43,21 @@ from robot_sysid.records.file_access import read_json
 _JOINT_NAMES = re.compile(r"joints?([_ ]?names?)?$|(^|/)names?$", re.IGNORECASE)
 
 
-def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
+def arrays_table(
+    path: Path,
+    layout: str,
+    arrays: Mapping[str, Any],
+    blocks: BlockReader | None = None,
+    choices: ColumnChoices | None = None,
+) -> LogTable:
     """Return a recording of named arrays with one row, or one column, per sample.
 
     A column of a two-dimensional array ``q`` is called ``q[0]``, or ``elbow/q`` where an array such
     as ``joint_names`` names them; dates become seconds from the first. An array of another length
     or shape, or without numbers, is left out. ``group/q`` is called ``q`` unless another array has
     that last name. InputError where no array has rows.
+
+    ``blocks`` and ``choices``: see ``make_table``.
     """
     uses = Counter(name.rpartition("/")[2] for name in arrays)
     columns = {}
@@ -74,25 +83,15 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         listed = ", ".join(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = statistics.mode(lengths)
-    titles = []
     samples = []
     for name, values in columns.items():
         rows = values if len(values) == n_rows else values.T
-        if len(rows) != n_rows:
-            continue
-        samples.append(rows)
-        width = rows.size // n_rows
-        if width == 1:
-            titles.append(name)
-        elif width in names_of:
-            titles += [f"{joint}/{name}" for joint in names_of[width]]
-        else:
-            titles += [f"{name}[{k}]" for k in range(width)]
-    blocks = partial(array_blocks, samples)
+        if len(rows) == n_rows:
+            samples.append((name, rows))
     unused = join_names(left_out)
     note = f"arrays that are no columns of numbers are not used: {unused}"
     notes = (note,) if left_out else ()
-    return LogTable(path, layout, tuple(titles), blocks, notes=notes)
+    return make_table(path, layout, samples, names_of, blocks, choices, notes=notes)
 
 
 def can_be_column(array: Any) -> bool:
@@ -130,7 +129,7 @@ def fields(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (name, value) of the fields of nested structures, as ``group/q``."""
     if isinstance(value, dict):
         for key, content in value.items():
-            yield from fields(content, f"{name}/{key}" if name else key)
+            yield from fields(content, nested_name(name, key))
     else:
         yield name, value
 
@@ -147,8 +146,9 @@ def parquet_table(path: Path, *_: Any) -> LogTable:
     schema = metadata.schema.to_arrow_schema()
     names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
     read = partial(_read_parquet, [path], names)
-    table = arrays_table(path, "Parquet", dict(zip(names, next(read(), ()))))
-    return replace(table, blocks=partial(chunk_blocks, read, metadata.num_rows))
+    first_rows = dict(zip(names, next(read(), ())))
+    blocks = partial(chunk_blocks, read, metadata.num_rows)
+    return arrays_table(path, "Parquet", first_rows, blocks)
 
 
 def _read_parquet(files: Sequence[Path], columns: Sequence[str]) -> Iterator[Chunk]:
@@ -258,10 +258,10 @@ def lerobot_table(path: Path, _: Sequence[str], options: LogOptions) -> LogTable
         f"{len(recordings)} episodes"
     )
     rows = np.concatenate(recordings)
-    blocks = partial(array_blocks, [values[rows] for values in frames.values()])
+    samples = np.column_stack([values[rows] for values in frames.values()])
     is_per_cent = _PER_CENT_ARMS.search(str(info.get("robot_type")))
     notes = (_DEGREES_NOTE,) if is_per_cent else ()
-    return LogTable(path, layout, tuple(columns), blocks, notes=notes)
+    return make_table(path, layout, zip(columns, samples.T), notes=notes)
 
 
 def _as_mapping(value: Any) -> Mapping[str, Any]:
@@ -335,5 +335,4 @@ def hdf5_table(path: Path, *_: Any) -> LogTable:
                 is_text = data.shape and h5py.check_string_dtype(data.dtype)
                 source = data.asstr() if is_text else data
                 arrays[name] = source[()] if is_text or can_be_column(data) else data
-        table = arrays_table(path, layout, arrays)
-    return replace(table, choices=choices)
+        return arrays_table(path, layout, arrays, choices=choices)

@@ -10,7 +10,7 @@ import json
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -126,10 +126,9 @@ def excel_table(path: Path, *_: Any) -> LogTable:
         )
     titles = [title or f"#{k}" for k, title in enumerate(rows[first - 1], start=1)]
     states = named_rows(path, titles, rows[first:])
-    table = states_table(path, f"Excel, sheet {name}", states)
     others = ", ".join(title for title, rows in sheets.items() if rows)
     notes = (f"sheet {name!r} is read, not {others}",) if others else ()
-    return replace(table, notes=notes)
+    return states_table(path, f"Excel, sheet {name}", states, notes=notes)
 
 
 # Title of when a message was recorded [ns].
@@ -189,16 +188,17 @@ def _mcap_states(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield (topic, state with _RECEIVED) of the messages of JSON and protobuf in an MCAP file."""
     reader = import_optional("mcap.reader", "mcap")
     protobuf = import_optional("mcap_protobuf.decoder", "mcap").DecoderFactory()
+    # Encoding to the function of schema and bytes that returns the state in a message.
+    decoders: Mapping[str, Callable[[Any, bytes], Any]] = {
+        "json": lambda schema, data: json.loads(data),
+        "protobuf": lambda s, data: _plain(protobuf.decoder_for("protobuf", s)(data)),
+    }
     with path.open("rb") as stream:
         for schema, channel, message in reader.make_reader(stream).iter_messages():
-            if channel.message_encoding == "json":
-                state = json.loads(message.data)
-            elif channel.message_encoding == "protobuf":
-                decode = protobuf.decoder_for("protobuf", schema)
-                state = _plain(decode(message.data))
-            else:
-                continue
-            yield channel.topic, {_RECEIVED: message.log_time, **state}
+            decode = decoders.get(channel.message_encoding)
+            if decode:
+                state = decode(schema, message.data)
+                yield channel.topic, {_RECEIVED: message.log_time, **state}
 
 
 def _plain(value: Any) -> Any:

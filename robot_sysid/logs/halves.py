@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices
-from robot_sysid.logs.table import LogTable, array_blocks
+from robot_sysid.logs.table import LogTable, make_table
 from robot_sysid.records import Array, Column, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
 
@@ -116,18 +115,17 @@ def _join(position: _Half, torque: _Half) -> LogTable:
     # Columns that are not read keep their place: they may list the joints' names.
     cells = np.full((len(q), len(table.titles)), np.nan)
     cells[:, q_columns] = q
-    return replace(
-        table,
-        titles=(*table.titles, *(torque.table.titles[k] for k in tau_columns)),
+    note = (
+        f"positions of {table} and torques of {torque.table} are one log, joined {how}"
+    )
+    torque_titles = [torque.table.titles[k] for k in tau_columns]
+    return make_table(
+        table.path,
+        table.layout,
+        [*zip(table.titles, cells.T), *zip(torque_titles, tau.T)],
         first_row=table.first_row and (*table.first_row, *[""] * len(tau_columns)),
-        blocks=partial(array_blocks, [cells, tau]),
         choices=table.choices.over(torque.table.choices),
-        row_noun="row",
-        notes=(
-            *table.notes,
-            *torque.table.notes,
-            f"positions of {table} and torques of {torque.table} are one log, joined {how}",
-        ),
+        notes=(*table.notes, *torque.table.notes, note),
     )
 
 

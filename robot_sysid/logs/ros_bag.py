@@ -38,7 +38,15 @@ from robot_sysid.logs.ros_messages import (
     Sample,
     read_stamp,
 )
-from robot_sysid.logs.table import ROWS, Chunk, LogTable, chunk_blocks, import_optional
+from robot_sysid.logs.table import (
+    LATER,
+    ROWS,
+    Chunk,
+    LogTable,
+    chunk_blocks,
+    import_optional,
+    make_table,
+)
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.wording import option_name
@@ -136,20 +144,7 @@ def bag_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> Lo
     """
     topic_option = options.topic
     with _open_bag(path) as bag:
-        # Names of topics with joints.
-        names = set()
-        described = set()
-        for connection in bag.connections:
-            description = f"{connection.topic} ({connection.msgtype})"
-            # Bags of .db3 before ROS 2 Iron do not define their messages' types.
-            is_defined = connection.msgtype in bag.typestore.fielddefs
-            if connection.msgtype in READERS and is_defined:
-                names.add(connection.topic)
-            elif connection.msgtype in READERS:
-                description += (
-                    " without its definition: record it with ros2 bag record -s mcap"
-                )
-            described.add(description)
+        names, described = _joint_topics(bag)
         its_topics = f"its topics: {', '.join(sorted(described)) or 'none'}"
         if topic_option is not None and topic_option not in names:
             fault = f"{path} has no joint states in topic {topic_option!r}"
@@ -161,6 +156,24 @@ def bag_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> Lo
             raise InputError(f"{path} holds no joint states; {its_topics}")
         topic, note = choose_topic(path, topics)
     return replace(topic.table, notes=(*topic.table.notes, *filter(None, [note])))
+
+
+def _joint_topics(bag: Any) -> tuple[set[str], set[str]]:
+    """Return the names of the topics of a bag with joints, and a description of each of all."""
+    names = set()
+    described = set()
+    for connection in bag.connections:
+        description = f"{connection.topic} ({connection.msgtype})"
+        # Bags of .db3 before ROS 2 Iron do not define their messages' types.
+        is_defined = connection.msgtype in bag.typestore.fielddefs
+        if connection.msgtype in READERS and is_defined:
+            names.add(connection.topic)
+        elif connection.msgtype in READERS:
+            description += (
+                " without its definition: record it with ros2 bag record -s mcap"
+            )
+        described.add(description)
+    return names, described
 
 
 def _connections(bag: Any, topic: str) -> list[Any]:
@@ -207,11 +220,12 @@ def _read_topic(
     n_messages = sum(connection.msgcount for connection in connections)
     start = min(stamp for stamp, _ in messages)
     read = partial(_read_chunks, path, name, list(sent), start, arm_keys)
-    table = LogTable(
+    titles = ["time", *map(" ".join, sent)]
+    table = make_table(
         path,
         f"ROS bag, topic {name} ({message_type}), joints by name",
-        ("time", *map(" ".join, sent)),
-        partial(chunk_blocks, read, n_messages),
+        [(title, LATER) for title in titles],
+        blocks=partial(chunk_blocks, read, n_messages),
         row_noun="message",
         notes=notes,
     )

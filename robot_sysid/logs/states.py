@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.table import ROWS, LogTable, array_blocks
+from robot_sysid.logs.table import ROWS, LogTable, make_table, nested_name, part_titles
 from robot_sysid.logs.text import is_names, parse_cell
 
 _SECONDS = frozenset({"sec", "secs", "seconds"})
@@ -36,11 +35,10 @@ def numbers_in(value: Any, title: str = "") -> Iterator[tuple[str, float]]:
     if isinstance(value, Mapping):
         yield from _numbers_in_mapping(value, title)
     elif isinstance(value, (list, tuple)):
-        for index, item in enumerate(value):
-            item_title = f"{title}[{index}]"
-            if isinstance(item, Mapping) and isinstance(item.get("name"), str):
-                item_title = f"{title}/{item['name']}"
-            yield from numbers_in(item, item_title)
+        for item, item_title in zip(value, part_titles(title, len(value))):
+            has_name = isinstance(item, Mapping) and isinstance(item.get("name"), str)
+            own_title = f"{title}/{item['name']}" if has_name else item_title
+            yield from numbers_in(item, own_title)
     elif isinstance(value, str):
         with contextlib.suppress(ValueError):
             yield title, parse_cell(value)
@@ -52,7 +50,6 @@ def _numbers_in_mapping(
     value: Mapping[str, Any], title: str
 ) -> Iterator[tuple[str, float]]:
     """Yield (title, number) of the numbers in a mapping; a time stamp of ROS is one number."""
-    prefix = f"{title}/" if title else ""
     seconds = _SECONDS & value.keys()
     nanoseconds = _NANOSECONDS & value.keys()
     if seconds and nanoseconds:
@@ -64,13 +61,15 @@ def _numbers_in_mapping(
     lists = filter(is_names, value.values())
     # The names of what other lists hold.
     names: list[str] = next((n for n in lists if lengths.count(len(n)) > 1), [])
+    named: list[tuple[str, Any]] = []
     for key, content in value.items():
         if not (names and isinstance(content, list)):
-            yield from numbers_in(content, f"{prefix}{key}")
+            named.append((key, content))
         elif len(content) == len(names):
             # A list of another length was not measured of every joint.
-            for name, item in zip(names, content):
-                yield from numbers_in(item, f"{prefix}{name}/{key}")
+            named += zip(part_titles(key, len(names), names), content)
+    for name, content in named:
+        yield from numbers_in(content, nested_name(title, name))
 
 
 def named_rows(
@@ -105,7 +104,11 @@ def list_in_cell(cell: Any) -> Any:
 
 
 def states_table(
-    path: Path, layout: str, states: Iterable[Any], row_noun: str = "row"
+    path: Path,
+    layout: str,
+    states: Iterable[Any],
+    row_noun: str = "row",
+    notes: tuple[str, ...] = (),
 ) -> LogTable:
     """Return states as a table with a row per state and a column per title.
 
@@ -113,7 +116,7 @@ def states_table(
         path: of the file.
         layout: see ``LogTable``.
         states: nested values; None in place of one that cannot be read.
-        row_noun: see ``LogTable``.
+        row_noun, notes: see ``LogTable``.
 
     Raises:
         InputError: no state has numbers.
@@ -138,5 +141,5 @@ def states_table(
     for cells in chunks:
         later = np.full((len(cells), len(columns) - cells.shape[1]), np.nan)
         padded.append(np.hstack((cells, later)))
-    blocks = partial(array_blocks, [np.concatenate(padded)])
-    return LogTable(path, layout, tuple(columns), blocks, row_noun=row_noun)
+    numbers = zip(columns, np.concatenate(padded).T)
+    return make_table(path, layout, numbers, row_noun=row_noun, notes=notes)

@@ -1,15 +1,18 @@
 """A log as a table: titled columns that every form of file is turned into.
 
-A form's reader returns a ``LogTable``, which yields its rows in blocks; ``checks`` makes a
-recording of them.
+A form's reader finds names and numbers and hands them to ``make_table``, the one place where they
+become titled columns. The ``LogTable`` yields its rows in blocks; ``checks`` makes a recording of
+them. Of nested names ``nested_name`` makes one, and the parts of an array or list are called by
+``part_titles``.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -51,6 +54,10 @@ class Block:
 
 Chunk = Sequence[Array]
 """Successive rows of arrays, (R,) or (R, k) each."""
+BlockReader = Callable[[Sequence[int]], Iterator[Block]]
+"""Function of column indices that yields all rows in order, with these columns."""
+LATER = np.empty(0)
+"""Stands for the numbers of a column that are not read before a block of rows asks for them."""
 
 
 def chunk_blocks(
@@ -88,7 +95,7 @@ class LogTable:
         layout: the form in a few words, for the user.
         path: of the file or folder, for messages.
         titles: of its columns; "#1", "#2", ... where the file has none.
-        blocks: function of column indices that yields all rows in order, with these columns.
+        blocks: yields the rows.
         choices: columns and units that the form itself declares.
         row_noun: what a row is called in messages: "line", "message" or "row".
         first_row: the cells of the first row as text, where they may hold names; else empty.
@@ -99,7 +106,7 @@ class LogTable:
     path: Path
     layout: str
     titles: tuple[str, ...]
-    blocks: Callable[[Sequence[int]], Iterator[Block]]
+    blocks: BlockReader
     choices: ColumnChoices = ColumnChoices()
     row_noun: str = "row"
     first_row: tuple[str, ...] = ()
@@ -131,6 +138,62 @@ class LogTable:
         blocks = islice(self.rows(columns), most_blocks)
         none = np.empty((0, len(columns)))
         return np.vstack([none, *(block.cells for block in blocks)])
+
+
+def nested_name(group: str, name: str) -> str:
+    """Return the name of what lies in a group, ``group/name``; "" is no group."""
+    return f"{group}/{name}" if group else name
+
+
+def part_titles(name: str, count: int, joint_names: Sequence[str] = ()) -> list[str]:
+    """Return the titles of the parts of an array or list: ``q[0]``, or ``elbow/q`` by joints."""
+    if joint_names:
+        return [nested_name(joint, name) for joint in joint_names]
+    return [f"{name}[{k}]" for k in range(count)]
+
+
+def make_table(
+    path: Path,
+    layout: str,
+    columns: Iterable[tuple[str, Array]],
+    joint_names: Mapping[int, Sequence[str]] | None = None,
+    blocks: BlockReader | None = None,
+    choices: ColumnChoices | None = None,
+    row_noun: str = "row",
+    first_row: tuple[str, ...] = (),
+    notes: tuple[str, ...] = (),
+) -> LogTable:
+    """Return named columns of numbers as a table, whatever form of file they are from.
+
+    Args:
+        path: of the file or folder.
+        layout: see ``LogTable``.
+        columns: (name, numbers) from left to right; numbers are (N,), or (N, k) for k columns,
+            which have the titles of ``part_titles``.
+        joint_names: number of columns of an array to the names of the joints that they are of.
+        blocks: yields the rows, where ``columns`` do not hold all of them; their numbers then only
+            show their shape, or are ``LATER``.
+        choices, row_noun, first_row, notes: see ``LogTable``.
+    """
+    titles: list[str] = []
+    arrays = []
+    for name, values in columns:
+        arrays.append(values)
+        width = values.size // len(values) if len(values) else 1
+        if width == 1:
+            titles.append(name)
+        else:
+            titles += part_titles(name, width, (joint_names or {}).get(width, ()))
+    return LogTable(
+        path,
+        layout,
+        tuple(titles),
+        blocks or partial(array_blocks, arrays),
+        choices or ColumnChoices(),
+        row_noun,
+        first_row,
+        notes,
+    )
 
 
 def import_optional(module: str, extra: str) -> Any:

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import TextIOWrapper
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.declarations import ColumnChoices
-from robot_sysid.logs.table import Block, LogTable
+from robot_sysid.logs.table import LATER, Block, LogTable, make_table
 from robot_sysid.records import Array, Recording
 from robot_sysid.records.file_access import atomic_file
 
@@ -131,14 +131,14 @@ def plain_table(dialect: Dialect) -> LogTable:
     if {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.titles):
         layout = f"libfranka's logToCSV, time in ms, {layout}"
         choices = ColumnChoices(time_unit="ms")
-    return LogTable(
+    return make_table(
         dialect.path,
         layout,
-        dialect.titles,
-        dialect.blocks,
-        choices,
-        "line",
-        dialect.first_row,
+        [(title, LATER) for title in dialect.titles],
+        blocks=dialect.blocks,
+        choices=choices,
+        row_noun="line",
+        first_row=dialect.first_row,
     )
 
 
@@ -293,15 +293,18 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
     """
     above = ""
     rows: list[tuple[int, str]] = []
-    for first, lines, _ in _read_lines(path, encoding, _LONGEST_LINE):
-        for number, line in enumerate(lines, first):
-            is_text = len(line) < _LONGEST_LINE and not _BINARY.search(line)
-            if is_text and _may_be_row(line):
-                rows.append((number, line))
-            elif line.strip() and not rows:
-                above = line.strip()
-            if len(rows) == 2:
-                return above, rows
+    chunks = _read_lines(path, encoding, _LONGEST_LINE)
+    numbered = chain.from_iterable(
+        enumerate(lines, first) for first, lines, _ in chunks
+    )
+    for number, line in numbered:
+        is_text = len(line) < _LONGEST_LINE and not _BINARY.search(line)
+        if is_text and _may_be_row(line):
+            rows.append((number, line))
+        elif line.strip() and not rows:
+            above = line.strip()
+        if len(rows) == 2:
+            break
     return above, rows
 
 

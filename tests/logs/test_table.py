@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.log_files import (
     JOINTS,
@@ -20,6 +22,7 @@ from rigs.log_files import (
     write,
 )
 from rigs.refusals import refused
+from robot_sysid.logs.table import ROWS, make_table
 from robot_sysid.signals.resampling import split_at_gaps
 
 
@@ -93,3 +96,24 @@ def test_time_that_goes_back_a_little_or_again_and_again_is_refused(tmp_path):
     rows = table(motion())
     rows[::7, 0] = 0.0
     assert_refused("run backwards in time", write(tmp_path / "log.csv", rows))
+
+
+@given(
+    st.lists(st.integers(1, 3), min_size=1, max_size=5),
+    st.sampled_from([3, ROWS, ROWS + 1]),
+    st.data(),
+)
+def test_arrays_are_columns_with_a_title_each_in_any_order(widths, count, data):
+    """Whatever their widths are, and however many rows are read at a time."""
+    cells = np.arange(float(count * sum(widths))).reshape(count, -1)
+    parts = np.split(cells, np.cumsum(widths)[:-1], axis=1)
+    named = []
+    titles = []
+    for k, (width, part) in enumerate(zip(widths, parts)):
+        named.append((f"x{k}", part))
+        of_joints = [f"{joint}/x{k}" for joint in JOINTS]
+        titles += {1: [f"x{k}"], 2: [f"x{k}[0]", f"x{k}[1]"], 3: of_joints}[width]
+    table_of_arrays = make_table(Path("log"), "", named, {3: JOINTS})
+    assert list(table_of_arrays.titles) == titles
+    order = data.draw(st.permutations(range(len(titles))))
+    assert_array_equal(table_of_arrays.cells(order), cells[:, order])
