@@ -63,7 +63,7 @@ def without_contacts(fitted: Fit) -> Fit:
     means = mean_sizes(judged, sizes)
     for recording, own in zip(fitted.recordings, fitted.split(means)):
         touched = (*_stretches(recording, own),)
-        recordings.append(replace(recording, touched=touched, chosen=None))
+        recordings.append(recording.with_all_rows(touched=touched))
     marked = replace(fitted, recordings=tuple(recordings))
     kept = [~touched_rows(recording) for recording in recordings]
     count = sum(len(recording.touched) for recording in recordings)

@@ -195,7 +195,7 @@ def weigh(fitted: Fit, is_on: bool) -> tuple[Array, Array]:
     gears lose of a load looks like such a drift, which hides a share of it from other fits.
     """
     recordings = [
-        replace(recording, is_loaded=recording.is_loaded == is_on)
+        recording.with_all_rows(is_loaded=recording.is_loaded == is_on)
         for recording in fitted.recordings
     ]
     question = Question(fitted.question.options, loaded=True)

@@ -228,6 +228,12 @@ class FilteredRecording:
         kept = KeptColumns(columns) if changes else self.kept
         return replace(self, chosen=used, kept=kept, **changes)
 
+    def with_all_rows(self, **changes: Any) -> FilteredRecording:
+        """Return the recording with changed fields, of which all rows are used that the signals
+        allow, whichever were chosen before.
+        """
+        return replace(self, chosen=None, **changes)
+
     def filter_columns(self, make: Callable[[Motion], Array]) -> Array:
         """Return columns (K, ...) that are made from the motion, low-passed and decimated.
 
