@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -46,6 +47,55 @@ def write(
     lines += [separator.join(_text(cell) for cell in row) for row in rows]
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def blocks_of(path: Path) -> dict[str, dict[str, list[str]]]:
+    """Return name to key to values of the blocks of a text (see tests/logs/heads.txt)."""
+    blocks: dict[str, dict[str, list[str]]] = {}
+    text = re.sub(r"(?m)^#.*\n", "", path.read_text())
+    for line in re.sub(r"\n +", " ", text).splitlines():
+        key, _, value = line.partition(": ")
+        if line.startswith("["):
+            block = blocks[line.strip("[]")] = {}
+        elif line:
+            block.setdefault(key, []).append(value)
+    return blocks
+
+
+def signals_of(log: Recording) -> dict[str, np.ndarray]:
+    """What logs hold, in SI units and in others."""
+    assert log.qd is not None
+    time = log.time[:, None]
+    return {
+        "t": time,
+        "ms": 1e3 * time,
+        "row": np.arange(len(time))[:, None],
+        "q": log.q,
+        "qd": log.qd,
+        "tau": log.tau,
+        "deg": np.degrees(log.q),
+        "deg/s": np.degrees(log.qd),
+        "cdeg": 100.0 * np.degrees(log.q) + 1e-3,
+        "ticks": 2048.0 + np.round(4096 / (2.0 * np.pi) * log.q),
+        "heat": log.tau + 40.0,
+        "warm": 0.0 * log.tau + 40.0 * np.eye(log.tau.shape[1])[1],
+        "zeros": 0.0 * log.tau,
+        "soll": np.degrees(log.q) + 0.01,
+    }
+
+
+def write_signals(path: Path, log: Recording, signals: Mapping[str, str]) -> Path:
+    """Write what a log holds below other titles; without titles where one is empty or has a #.
+
+    ``signals`` is title to name of ``signals_of``; "{}" stands for the joint's number from 1.
+    """
+    values = signals_of(log)
+    titles = []
+    for title, name in signals.items():
+        for joint in range(values[name].shape[1]):
+            titles.append(title.format(joint + 1, name=f"joint{joint}"))
+    rows = np.hstack([values[name] for name in signals.values()])
+    return write(path, rows, () if "#q1" in titles else titles)
 
 
 def limits(reach: float = 2.0, count: int = 3) -> Limits:

@@ -34,30 +34,6 @@ from robot_sysid.records.messages import Progress
 DATA = motion(60)
 
 
-@pytest.mark.parametrize(
-    ("content", "fault"),
-    [
-        (b"a remark on the arm\nand another one here\n", "log.csv: "),
-        (b"# only\n# comments\n", "log.csv is .* holds no rows"),
-        (b"time,q1,q2,q3,tau1,tau2,tau3\n", "header but no rows"),
-        (b"\x00\x01\x02binary", "no form that is known"),
-        (b"\x89MCAP0\r\n rubbish", "as an MCAP file"),
-        (b"#ROSBAG V2.0\n rubbish", "as a ROS bag"),
-        (b"\x89HDF\r\n\x1a\n rubbish", "as an HDF5 file"),
-        (b"MATLAB 5.0 MAT-file rubbish", "as a MATLAB .mat file"),
-        (b"PK\x03\x04 rubbish", "as a NumPy .npz file"),
-        (b"PAR1 rubbish", "as a Parquet file"),
-    ],
-)
-def test_a_file_without_a_recording_is_refused_in_one_line(tmp_path, content, fault):
-    for library in ("rosbags", "pyarrow", "h5py"):
-        pytest.importorskip(library)
-    path = tmp_path / "log.csv"
-    assert_refused("cannot read the log", path)
-    path.write_bytes(content)
-    assert_refused(fault, path)
-
-
 def test_a_path_that_is_no_file_is_refused_in_one_line(tmp_path):
     assert_refused("folder of no known form; a log is a text table", tmp_path)
     assert_refused("cannot read the log .*too long", tmp_path / ("a" * 5000))
