@@ -29,7 +29,6 @@ from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.suggestion import BLANK, suggest_columns
 from robot_sysid.logs.table import LogTable, as_input_errors
-from robot_sysid.logs.text_shapes import text_table
 from robot_sysid.logs.titles import UnrecognisedError
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
@@ -207,7 +206,7 @@ _FILES: Mapping[bytes, tuple[str, TableReader]] = {
         "text of ros2 topic echo",
         documents.echo_table,
     ),
-    rb"": ("a table of text", text_table),
+    rb"": ("a table of text", documents.text_table),
 }
 # A file in a folder to the folder's form and the form's reader.
 _FOLDERS: Mapping[str, tuple[str, TableReader]] = {

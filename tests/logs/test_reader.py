@@ -77,7 +77,7 @@ FILES_AND_CALLS = {
     arrays.npz_table: ("npz", "numpy.load", STACK),
     arrays.parquet_table: ("Parquet", PARQUET_FILE, STACK),
     arrays.lerobot_table: ("LeRobot", PARQUET_FILE, STACK),
-    reader.text_table: ("libfranka", "csv.reader", "numpy.loadtxt"),
+    documents.text_table: ("libfranka", "csv.reader", "numpy.loadtxt"),
     documents.json_table: ("JSON lines", "json.JSONDecoder", STACK),
     documents.echo_table: ("echo", "re.findall", STACK),
     documents.excel_table: ("Excel", "openpyxl.load_workbook", STACK),
