@@ -9,24 +9,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.declarations import JOINT_COLUMNS, ColumnChoices, split_factor
-from robot_sysid.logs.table import LogTable
-from robot_sysid.logs.titles import (
-    UNITS,
+from robot_sysid.logs.matching import (
     Candidates,
-    Title,
+    Confidence,
+    Match,
     UnrecognisedError,
     ambiguity_error,
     fit_pattern,
     match_joints,
-    read_title,
+    surest_matches,
 )
+from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.titles import UNITS, Title, read_title
 from robot_sysid.records import Array, Column, ColumnMap, RobotModel
 from robot_sysid.records.messages import count_text
 from robot_sysid.records.option_fields import joint_values, parse_numbers
@@ -51,7 +52,6 @@ class ColumnFinder:
     table: LogTable
     robot: RobotModel
     choices: ColumnChoices
-    _pattern_notes: dict[str, None] = field(default_factory=dict)
 
     @cached_property
     def titles(self) -> Sequence[Title]:
@@ -71,14 +71,15 @@ class ColumnFinder:
         """Return the titles that name a quantity beside other words."""
         return [t.text for t in self.titles if t.quantity_beside_name == quantity]
 
-    def _declared(self, quantity: str) -> Mapping[str, _Source | None]:
-        """Return joint name to the column that is declared for a quantity; None for one that has
-        none.
+    def _declared(self, quantity: str) -> tuple[Mapping[str, _Source | None], str]:
+        """Return joint name to the column that is declared for a quantity, None for one that has
+        none; and a note on joints' names, "" for none.
         """
         joint_names = self.robot.joint_names
         # Currents are declared as torques.
         key = "torque" if quantity == "current" else quantity
         declared: dict[str, _Source | None] = {}
+        note = ""
         for joint, value in self.choices.of(key).items():
             # Of single joints, only the torque may be missing.
             if value == "none" and (not joint or key in ("torque", self.driven)):
@@ -86,8 +87,9 @@ class ColumnFinder:
             elif joint:
                 declared[joint] = self._look_up(value)
             else:
-                declared.update(zip(joint_names, self._look_up_all(value)))
-        return declared
+                sources, note = self._look_up_all(value)
+                declared.update(zip(joint_names, sources))
+        return declared, note
 
     @cached_property
     def _zeros(self) -> Array:
@@ -121,6 +123,13 @@ class ColumnFinder:
         except InputError:
             return ()
 
+    def matches(self, quantity: str, likely: Sequence[Match] = ()) -> list[Match]:
+        """Return the columns that hold a quantity for certain, or else likely ones that could."""
+        columns = self.recognise(quantity) if quantity in self._quantities else ()
+        indices = tuple(column.index for column in columns)
+        certain = [Match(quantity, indices, "", Confidence.CERTAIN)] if indices else []
+        return surest_matches([*certain, *likely], quantity, self.titles)
+
     def find_all(self) -> ColumnMap:
         """Return the map.
 
@@ -129,12 +138,10 @@ class ColumnFinder:
             InputError: it contradicts the declared units, or what is declared is not there.
         """
         # What is not needed has to be there, too.
-        for name in self.choices.entries:
-            key = name.partition(".")[0]
-            if key in JOINT_COLUMNS:
-                self._declared(key)
+        keys = [name.partition(".")[0] for name in self.choices.entries]
+        pattern_notes = [self._declared(k)[1] for k in keys if k in JOINT_COLUMNS]
         _, joint_note = self._matched
-        notes = [joint_note, *self._pattern_notes]
+        notes = [joint_note, *dict.fromkeys(pattern_notes)]
         found: dict[str, tuple[Column, ...]] = {}
         for quantity in self._quantities:
             try:
@@ -177,28 +184,33 @@ class ColumnFinder:
 
     def _find_joints(self, quantity: str) -> tuple[Column, ...]:
         """Return one column per joint, or () where an optional quantity lacks a joint's."""
-        names = self.robot.joint_names
-        declared = self._declared(quantity)
-        if [*declared.values()] == [None] * len(names):
+        n_joints = self.robot.n_joints
+        declared, _ = self._declared(quantity)
+        if [*declared.values()] == [None] * n_joints:
             return ()
-        candidates, _ = self._matched
-        columns = []
-        for joint, name in enumerate(names):
-            indices = candidates[quantity][joint]
-            source = declared.get(name)
-            if source:
-                columns.append(self._column(quantity, joint, *source))
-            elif name in declared:
-                columns.append(Column(0, "none", 0.0))
-            elif len(indices) > 1:
-                raise ambiguity_error(quantity, name, self.titles, indices)
-            elif indices:
-                columns.append(self._column(quantity, joint, indices[0]))
-        if len(columns) == len(names):
-            return tuple(columns)
+        found = [self._find_joint(quantity, k, declared) for k in range(n_joints)]
+        columns = tuple(column for column in found if column is not None)
+        if len(columns) == n_joints:
+            return columns
         if declared or quantity in ("position", self.driven):
             raise self._missing_error(quantity)
         return ()
+
+    def _find_joint(
+        self, quantity: str, joint: int, declared: Mapping[str, _Source | None]
+    ) -> Column | None:
+        """Return the column of a joint (index), declared or certain; None where there is none."""
+        name = self.robot.joint_names[joint]
+        candidates, _ = self._matched
+        indices = candidates[quantity][joint]
+        source = declared.get(name)
+        if source:
+            return self._column(quantity, joint, *source)
+        if name in declared:
+            return Column(0, "none", 0.0)
+        if len(indices) > 1:
+            raise ambiguity_error(quantity, name, self.titles, indices)
+        return self._column(quantity, joint, indices[0]) if indices else None
 
     def find_time(self) -> Column | None:
         """Return the time column, or None where a rate stands in for it."""
@@ -294,15 +306,16 @@ class ColumnFinder:
             f"the log has no single column {title!r}; name one that there is once"
         )
 
-    def _look_up_all(self, text: str) -> Sequence[_Source]:
-        """Return (column index, factor) of each joint, by a pattern, a range or a list."""
+    def _look_up_all(self, text: str) -> tuple[Sequence[_Source], str]:
+        """Return (column index, factor) of each joint, by a pattern, a range or a list; and a note
+        on joints' names, "" for none.
+        """
         joint_names = self.robot.joint_names
         texts = self.table.titles
         title, factor = split_factor(text, texts)
         fits, note = fit_pattern(title, texts, joint_names)
         if fits:
-            self._pattern_notes[note] = None
-            return [(column, factor) for column in fits]
+            return [(column, factor) for column in fits], note
         titles = [each.strip() for each in text.split(",")]
         ends = _RANGE.fullmatch(title)
         if ends:
@@ -317,7 +330,7 @@ class ColumnFinder:
             raise InputError(
                 f"{text!r} lists {listed}, the chain has {joints}: {', '.join(joint_names)}"
             )
-        return [*map(self._look_up, titles)]
+        return [*map(self._look_up, titles)], ""
 
     def _column(
         self, quantity: str, joint: int, index: int, factor: float = 1.0

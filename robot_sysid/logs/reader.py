@@ -26,10 +26,10 @@ from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices, stated_choices
 from robot_sysid.logs.halves import join_halves
 from robot_sysid.logs.joint_names import join_names
+from robot_sysid.logs.matching import UnrecognisedError
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.suggestion import BLANK, suggest_columns
+from robot_sysid.logs.suggestion import suggest_columns
 from robot_sysid.logs.table import LogTable, as_input_errors
-from robot_sysid.logs.titles import UnrecognisedError
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress
@@ -157,14 +157,13 @@ def _map_columns(finder: ColumnFinder) -> ColumnMap:
                 titles = ", ".join(table.titles)
                 fault += f"; {with_option_names(_REMEDY)}; {_HALF}. Columns: {titles}"
             raise InputError(fault, error.options, error.command) from None
-    entries = suggestion.entries
-    line = ", ".join(f"{key} = {value}" for key, value in entries.items())
-    is_complete = BLANK not in line.replace(",", " ").split()
-    if BLANK in map(entries.get, ("position", "torque")):
-        suggestion.reasons.append(_HALF)
-    doubt = "if that is right" if is_complete else "with the '?' filled in"
+    line = suggestion.line
+    reasons = [*suggestion.reasons]
+    if {"position", "torque"} & {*suggestion.blanks}:
+        reasons.append(_HALF)
+    doubt = "with the '?' filled in" if suggestion.blanks else "if that is right"
     action = f"give {option_setting('columns', line)}" if is_for_python() else "run"
-    sentences = [fault, *suggestion.reasons, f"{doubt}, {action}"]
+    sentences = [fault, *reasons, f"{doubt}, {action}"]
     raise InputError("; ".join(sentences), [("--columns", line, *suggestion.further)])
 
 

@@ -1,6 +1,6 @@
 """The line of ``--columns`` that titles and numbers of a log suggest, where titles do not say it.
 
-Columns with one title but for a number or a joint's name, as many as the arm has joints, are a
+It is the match of ``matching`` below certainty: columns alike, as many as the arm has joints, are a
 group; in a log without titles, as many columns that follow each other. Words of its title say what
 a group is, and so do numbers: velocities are the derivative of positions, positions keep the
 joints' ranges, torques follow the arm's weight. Where both are silent, or contradict each other,
@@ -10,249 +10,302 @@ the line has a "?", which is refused until it is filled in.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain, permutations
 
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder
-from robot_sysid.logs.declarations import column_text, is_plain_title
+from robot_sysid.logs.declarations import column_text
 from robot_sysid.logs.joint_names import are_opposite_sides, split_name
+from robot_sysid.logs.matching import Match, is_certain, match_alike, match_of_title
 from robot_sysid.logs.table import LogTable
-from robot_sysid.logs.titles import (
-    TIME_UNITS,
-    UNITS,
-    Title,
-    fit_pattern,
-    measured_columns,
-    token_set,
-)
+from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
 
 BLANK = "?"
 """What stands for a column or a unit that could not be told."""
+LOWEST_RATE = 10.0
+HIGHEST_RATE = 5000.0
+"""Sampling rates between which logs of arms lie [Hz]: units of time differ by 1000, so that one of
+them at most makes such a rate."""
+STEADY_SHARE = 0.99
+"""Share of the steps in which a clock increases: recordings may follow each other in a log."""
+MOST_UNEVEN = 10.0
+"""Ratio of long to short steps (of 90 and 10 % of them) above which no clock was read."""
+MOVING_SHARE = 0.01
+"""Share of the squared motion of the joint that moves most from which on a joint moves."""
+DERIVATIVE_CORRELATION = 0.9
+"""Correlation above which columns are the derivative of others; noise takes little from it, as
+changes over 20 rows are compared."""
+RATIO_TOLERANCE = 0.1
+"""Share by which the ratio of a derivative to its columns may differ from one, and between joints;
+another unit changes it by a factor of six at least."""
+WEIGHT_CORRELATION = 0.8
+CHANGE_CORRELATION = 0.5
+"""Correlations with the arm's weight above which columns are its torques, and so are their changes,
+which friction is a larger part of."""
 # Cells of a first row that are numbers, times or empty, or nearly so.
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
-# Words of titles of an encoder's counts, which are positions.
-_COUNTS = token_set("ticks counts encoder enc")
 # Excess over a joint's range that a zero elsewhere may make (chosen).
 _MARGIN = 1.2
 
 
 @dataclass(frozen=True)
-class Group:
-    """Columns of one quantity, as it seems: one per joint.
-
-    Attributes:
-        text: that stands for them in a line.
-        title: of the first one.
-        columns: (n,) indices, base to terminal.
-        samples: (N, n) the numbers in them.
-    """
-
-    text: str
-    title: Title
-    columns: tuple[int, ...]
-    samples: Array
-
-    @property
-    def quantity(self) -> str | None:
-        """What its title names beside other words: a quantity, or how a torque was not measured."""
-        if not _COUNTS.isdisjoint(self.title.tokens):
-            return "position"
-        kind = self.title.torque_kind
-        is_other = kind in ("commanded", "computed")
-        return kind if is_other else self.title.quantity_beside_name
-
-    def __str__(self) -> str:
-        return f"{self.text} ({self.samples.min():.4g} to {self.samples.max():.4g})"
-
-
-@dataclass(frozen=True)
 class Suggestion:
-    """Declarations that a log lacks, found one after the other.
+    """A line of declarations that a log lacks, as far as it is known.
 
     Attributes:
-        finder: of the log's columns, with what was declared.
-        samples: (N, C) numbers of all columns.
-        groups: of columns.
-        entries: key to value of the line.
+        entries: key to value of the line, without units.
         units: of the line.
         reasons: sentences on columns, and on what their numbers told.
         further: options that it needs beside.
     """
 
+    entries: Mapping[str, str]
+    units: tuple[str, ...]
+    reasons: tuple[str, ...]
+    further: tuple[str, ...] = ()
+
+    def declare(self, key: str, value: str, *reasons: str) -> Suggestion:
+        """Return the suggestion with an entry more, and sentences on it."""
+        entries = {**self.entries, key: value}
+        return replace(self, entries=entries, reasons=self.reasons + reasons)
+
+    def measure(self, *units: str) -> Suggestion:
+        """Return the suggestion with units more."""
+        return replace(self, units=self.units + units)
+
+    def explain(self, *reasons: str) -> Suggestion:
+        """Return the suggestion with sentences more."""
+        return replace(self, reasons=self.reasons + reasons)
+
+    @property
+    def _all_entries(self) -> Mapping[str, str]:
+        """Key to value of the line."""
+        units = {"units": ", ".join(self.units)} if self.units else {}
+        return {**self.entries, **units}
+
+    @property
+    def line(self) -> str:
+        """The declarations as ``--columns`` takes them."""
+        entries = self._all_entries.items()
+        return ", ".join(f"{key} = {value}" for key, value in entries)
+
+    @property
+    def blanks(self) -> list[str]:
+        """The keys of which something could not be told."""
+        entries = self._all_entries.items()
+        return [k for k, value in entries if BLANK in value.replace(",", " ").split()]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a log shows beside certain titles.
+
+    Attributes:
+        finder: of the log's columns, with what was declared.
+        samples: (N, C) numbers of all columns.
+        groups: columns alike, one per joint, from left to right.
+    """
+
     finder: ColumnFinder
     samples: Array
-    groups: Sequence[Group]
-    entries: dict[str, str]
-    units: list[str]
-    reasons: list[str]
-    further: list[str] = field(default_factory=list)
+    groups: Sequence[Match]
 
-    def find_time(self, columns: Collection[int]) -> Array:
-        """Return the times (N,) [s]; numbers of rows where no column is the time.
+    def numbers(self, match: Match) -> Array:
+        """Return the numbers (N, n) in columns."""
+        return self.samples[:, [*match.columns]]
 
-        It increases steadily, and a plausible rate tells its unit.
+    def unit(self, match: Match) -> str:
+        """Return the unit in the title of the first of columns; "" for none."""
+        return self.finder.titles[match.columns[0]].unit
 
-        ``columns``: indices of those that could be it.
-        """
-        finder = self.finder
-        titles = finder.titles
-        seconds = UNITS["time"]
-        clock = np.arange(len(self.samples), dtype=float)
-        if finder.choices.rate:
-            return clock / finder.choices.rate
-        indices = [column.index for column in finder.recognise("time")]
-        if not indices:
-            steady = [k for k in _steady_columns(self.samples) if k in columns]
-            # A column that counts rows is no clock, unless it is called so, or has a unit of time.
-            indices = [
-                k
-                for k in steady
-                if titles[k].quantity_beside_name == "time" or titles[k].unit in seconds
-            ]
-            steps = np.diff(self.samples, axis=0)
-            indices = indices or [k for k in steady if np.any(steps[:, k] != 1.0)]
-            if len(indices) != 1:
-                self.entries["time" if indices else "rate"] = BLANK
-                return clock
-            self.entries["time"] = column_text(finder.table.titles, indices[0])
-            self.reasons.append(f"{titles[indices[0]].text!r} increases steadily")
-        unit = titles[indices[0]].unit or finder.choices.time_unit
-        clock = self.samples[:, indices[0]] * seconds.get(unit or "s", 1.0)
-        if unit:
-            return clock
-        # Of rates from 10 to 5000 Hz, one unit of time at most makes one.
-        period = np.median(np.diff(clock))
-        units = [u for u in TIME_UNITS if 2e-4 <= period * seconds[u] <= 0.1] or [BLANK]
-        self.units.extend(unit for unit in units if unit != "s")
-        return clock * seconds.get(units[0], np.nan)
+    def describe(self, match: Match) -> str:
+        """Return columns with the range of their numbers, for a sentence."""
+        numbers = self.numbers(match)
+        return f"{match.text} ({numbers.min():.4g} to {numbers.max():.4g})"
 
-    def find_motion(self, clock: Array) -> Array | None:
-        """Return positions (N, n) [rad], with their units; None where they cannot be told.
 
-        Velocities are the derivative of positions by the clock (N,) [s].
-        """
-        found = self.finder.recognise("position")
-        if found:
-            samples = self.samples[:, [column.index for column in found]]
-            zeros = [column.zero for column in found]
-            factors = [column.factor for column in found]
-            return self._find_units((samples - zeros) * factors)
-        self.entries["position"] = BLANK
-        motions = [
-            g for g in self.groups if g.quantity in (None, "position", "velocity")
+def find_time(
+    evidence: Evidence, suggestion: Suggestion, columns: Collection[int]
+) -> tuple[Array, Suggestion]:
+    """Return the times (N,) [s], numbers of rows where no column is the time; and the suggestion
+    with them.
+
+    Time increases steadily, and a plausible rate tells its unit.
+
+    ``columns``: indices of those that could be it.
+    """
+    finder = evidence.finder
+    samples = evidence.samples
+    titles = finder.titles
+    seconds = UNITS["time"]
+    clock = np.arange(len(samples), dtype=float)
+    if finder.choices.rate:
+        return clock / finder.choices.rate, suggestion
+    indices = [column.index for column in finder.recognise("time")]
+    if not indices:
+        steady = [k for k in _steady_columns(samples) if k in columns]
+        # A column that counts rows is no clock, unless it is called so, or has a unit of time.
+        indices = [
+            k
+            for k in steady
+            if titles[k].quantity_beside_name == "time" or titles[k].unit in seconds
         ]
-        # Columns and their derivatives to the ratio of these.
-        ratios = {
-            (group.text, other.text): ratio
-            for group, other in permutations(motions, 2)
-            if (ratio := _derivative_ratio(group.samples, other.samples, clock))
-        }
-        derived = {text for _, text in ratios}
-        candidates = self._of_quantity("position")
-        if not candidates:
-            integrals = {text for text, _ in ratios} - derived
-            candidates = [g for g in motions if g.text in integrals]
-        if len(candidates) != 1:
-            return None
-        position = candidates[0]
-        if position.text in derived:
-            self.reasons.append(f"{position.text} are the derivative of other columns")
-            return None
-        self.entries["position"] = position.text
-        for group in motions:
-            ratio = ratios.get((position.text, group.text), 0.0)
-            condition = ""
-            if self.entries.get("rate") == BLANK and 10.0 <= ratio <= 5000.0:
-                self.entries["rate"] = f"{float(f'{ratio:.3g}'):g}"
-                condition = " at that rate, if both are in one unit"
-                ratio = 1.0
-            unit = group.title.unit
-            if abs(ratio - 1.0) < 0.1 and (not unit or unit in UNITS["velocity"]):
-                self.entries["velocity"] = group.text
-                self.reasons.append(
-                    f"{group.text} are the derivative of {position.text}{condition}"
-                )
-        stated = position.title.unit
-        if stated:
-            return position.samples * UNITS["position"].get(stated, 1.0)
-        return self._find_units(position.samples)
+        steps = np.diff(samples, axis=0)
+        indices = indices or [k for k in steady if np.any(steps[:, k] != 1.0)]
+        if len(indices) != 1:
+            return clock, suggestion.declare("time" if indices else "rate", BLANK)
+        text = column_text(finder.table.titles, indices[0])
+        reason = f"{titles[indices[0]].text!r} increases steadily"
+        suggestion = suggestion.declare("time", text, reason)
+    unit = titles[indices[0]].unit or finder.choices.time_unit
+    clock = samples[:, indices[0]] * seconds.get(unit or "s", 1.0)
+    if unit:
+        return clock, suggestion
+    # Of such rates, one unit of time at most makes one.
+    period = np.median(np.diff(clock))
+    periods = {unit: period * seconds[unit] for unit in TIME_UNITS}
+    shortest = 1.0 / HIGHEST_RATE
+    longest = 1.0 / LOWEST_RATE
+    units = [u for u, p in periods.items() if shortest <= p <= longest] or [BLANK]
+    suggestion = suggestion.measure(*(unit for unit in units if unit != "s"))
+    return clock * seconds.get(units[0], np.nan), suggestion
 
-    def _find_units(self, q: Array) -> Array | None:
-        """Return positions (N, n) in the units in which they keep the joints' ranges, in SI units.
 
-        None where there are no such units.
-        """
-        robot = self.finder.robot
-        choices = self.finder.choices
-        values = UNITS["position"]
-        reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
-        # More than an arm's joints have.
-        reach[np.isinf(reach) & ~robot.is_slide] = 4.0 * np.pi
-        excess = np.max(np.abs(q), axis=0) / reach
-        # Whole numbers may be the counts of an encoder.
-        is_whole = np.all(q == np.round(q))
-        for is_kind, declared, units in (
-            (~robot.is_slide, choices.angle_unit, ["deg", "cdeg"]),
-            (robot.is_slide, choices.length_unit, ["mm"]),
+def find_motion(
+    evidence: Evidence, suggestion: Suggestion, clock: Array
+) -> tuple[Array | None, Suggestion]:
+    """Return positions (N, n) in SI units, None where they cannot be told, and the suggestion with
+    them, with their units and with velocities.
+
+    Velocities are the derivative of positions by the clock (N,) [s].
+    """
+    finder = evidence.finder
+    candidates = finder.matches("position", evidence.groups)
+    if is_certain(candidates):
+        columns = finder.recognise("position")
+        samples = evidence.samples[:, [column.index for column in columns]]
+        zeros = [column.zero for column in columns]
+        factors = [column.factor for column in columns]
+        return find_units(finder, suggestion, (samples - zeros) * factors)
+    suggestion = suggestion.declare("position", BLANK)
+    motions = [
+        m for m in evidence.groups if m.quantity in (None, "position", "velocity")
+    ]
+    # Columns and their derivatives to the ratio of these.
+    ratios = {}
+    for match, other in permutations(motions, 2):
+        numbers = evidence.numbers(match)
+        ratio = _derivative_ratio(numbers, evidence.numbers(other), clock)
+        if ratio:
+            ratios[match.text, other.text] = ratio
+    derived = {text for _, text in ratios}
+    if not candidates:
+        integrals = {text for text, _ in ratios} - derived
+        candidates = [m for m in motions if m.text in integrals]
+    if len(candidates) != 1:
+        return None, suggestion
+    position = candidates[0]
+    if position.text in derived:
+        reason = f"{position.text} are the derivative of other columns"
+        return None, suggestion.explain(reason)
+    suggestion = suggestion.declare("position", position.text)
+    for match in motions:
+        ratio = ratios.get((position.text, match.text), 0.0)
+        condition = ""
+        if suggestion.entries.get("rate") == BLANK and (
+            LOWEST_RATE <= ratio <= HIGHEST_RATE
         ):
-            largest = np.max(excess[is_kind], initial=0.0)
-            if declared or largest <= _MARGIN:
-                continue
-            fitting = [u for u in units if values[u] * largest <= _MARGIN]
-            # Near the range, a zero may be elsewhere.
-            if is_whole or not fitting or largest < _MARGIN**3:
-                self.units.append(BLANK)
-                self.reasons.append("positions leave the joints' ranges in SI units")
-                return None
-            q = np.where(is_kind, values[fitting[0]] * q, q)
-            self.units.append(fitting[0])
-            self.reasons.append(f"positions keep the joints' ranges in {fitting[0]}")
-        return q
+            suggestion = suggestion.declare("rate", f"{float(f'{ratio:.3g}'):g}")
+            condition = " at that rate, if both are in one unit"
+            ratio = 1.0
+        unit = evidence.unit(match)
+        if abs(ratio - 1.0) < RATIO_TOLERANCE and (
+            not unit or unit in UNITS["velocity"]
+        ):
+            reason = f"{match.text} are the derivative of {position.text}{condition}"
+            suggestion = suggestion.declare("velocity", match.text, reason)
+    samples = evidence.numbers(position)
+    stated = evidence.unit(position)
+    if stated:
+        return samples * UNITS["position"].get(stated, 1.0), suggestion
+    return find_units(finder, suggestion, samples)
 
-    def find_driven(self, position: Array | None) -> None:
-        """Find torques, or commanded positions of servos.
 
-        ``position``: (N, n) [rad], which tell torques by the arm's weight.
-        """
-        driven = self.finder.driven
-        if self.finder.recognise(driven):
-            return
-        quantities = [driven]
-        if driven == "torque":
-            quantities += ["current", "commanded"]
-        candidates = next(filter(None, map(self._of_quantity, quantities)), [])
-        if not candidates and driven == "torque" and position is not None:
-            for group in self.groups:
-                is_free = not group.quantity and group.text not in self.entries.values()
-                if is_free and _follows_weight(
-                    self.finder.robot, position, group.samples
-                ):
-                    candidates.append(group)
-                    self.reasons.append(f"{group.text} follow the arm's weight")
-        quantity = candidates[0].quantity if candidates else None
-        if quantity == "current" and driven == "torque":
-            self.further.extend(("--torque-constants", "1"))
-        if quantity == "commanded":
-            self.reasons.append(
-                f"{candidates[0].text} were commanded, not measured: they are the arm's torque "
-                "only where motors follow closely and gravity is in them"
-            )
-        key = "torque" if driven == "current" else driven
-        self.entries[key] = candidates[0].text if len(candidates) == 1 else BLANK
+def find_units(
+    finder: ColumnFinder, suggestion: Suggestion, q: Array
+) -> tuple[Array | None, Suggestion]:
+    """Return positions (N, n) in SI units, and the suggestion with the units in which they keep the
+    joints' ranges; None where there are no such units.
+    """
+    robot = finder.robot
+    choices = finder.choices
+    values = UNITS["position"]
+    reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
+    # More than an arm's joints have.
+    reach[np.isinf(reach) & ~robot.is_slide] = 4.0 * np.pi
+    excess = np.max(np.abs(q), axis=0) / reach
+    # Whole numbers may be the counts of an encoder.
+    is_whole = np.all(q == np.round(q))
+    for is_kind, declared, units in (
+        (~robot.is_slide, choices.angle_unit, ["deg", "cdeg"]),
+        (robot.is_slide, choices.length_unit, ["mm"]),
+    ):
+        largest = np.max(excess[is_kind], initial=0.0)
+        if declared or largest <= _MARGIN:
+            continue
+        fitting = [u for u in units if values[u] * largest <= _MARGIN]
+        # Near the range, a zero may be elsewhere.
+        if is_whole or not fitting or largest < _MARGIN**3:
+            reason = "positions leave the joints' ranges in SI units"
+            return None, suggestion.measure(BLANK).explain(reason)
+        q = np.where(is_kind, values[fitting[0]] * q, q)
+        reason = f"positions keep the joints' ranges in {fitting[0]}"
+        suggestion = suggestion.measure(fitting[0]).explain(reason)
+    return q, suggestion
 
-    def _of_quantity(self, quantity: str) -> list[Group]:
-        """Return the groups that titles call a quantity; the measured ones, where some say so."""
-        groups = [group for group in self.groups if group.quantity == quantity]
-        first_columns = [group.columns[0] for group in groups]
-        measured = measured_columns(self.finder.titles, first_columns)
-        return [group for group in groups if group.columns[0] in measured]
+
+def find_driven(
+    evidence: Evidence, suggestion: Suggestion, position: Array | None
+) -> Suggestion:
+    """Return the suggestion with torques, or with commanded positions of servos.
+
+    ``position``: (N, n) in SI units, which tell torques by the arm's weight; None for unknown ones.
+    """
+    finder = evidence.finder
+    driven = finder.driven
+    quantities = [driven]
+    if driven == "torque":
+        quantities += ["current", "commanded"]
+    found = (finder.matches(quantity, evidence.groups) for quantity in quantities)
+    candidates = next(filter(None, found), [])
+    if is_certain(candidates):
+        return suggestion
+    if not candidates and driven == "torque" and position is not None:
+        taken = suggestion.entries.values()
+        for match in evidence.groups:
+            is_free = not match.quantity and match.text not in taken
+            if is_free and _follows_weight(
+                finder.robot, position, evidence.numbers(match)
+            ):
+                candidates.append(match)
+                suggestion = suggestion.explain(f"{match.text} follow the arm's weight")
+    quantity = candidates[0].quantity if candidates else None
+    if quantity == "current" and driven == "torque":
+        suggestion = replace(suggestion, further=("--torque-constants", "1"))
+    if quantity == "commanded":
+        suggestion = suggestion.explain(
+            f"{candidates[0].text} were commanded, not measured: they are the arm's torque "
+            "only where motors follow closely and gravity is in them"
+        )
+    key = "torque" if driven == "current" else driven
+    return suggestion.declare(
+        key, candidates[0].text if len(candidates) == 1 else BLANK
+    )
 
 
 def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
@@ -260,22 +313,20 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     are a group.
     """
     samples = _read_samples(finder.table)
-    groups = [*_find_groups(finder, samples)]
+    evidence = Evidence(finder, samples, [*_find_groups(finder, samples)])
+    groups = evidence.groups
     if not groups:
         return None
     titles = finder.table.titles
     grouped = {*chain.from_iterable(group.columns for group in groups)}
     others = [k for k in range(len(titles)) if k not in grouped]
-    listed = ", ".join([*map(str, groups), *(titles[k] for k in others)])
-    entries = {**finder.choices.entries}
-    units = [*filter(None, [entries.get("units")])]
-    reasons = [f"its columns are {listed}"]
-    suggestion = Suggestion(finder, samples, groups, entries, units, reasons)
-    clock = suggestion.find_time(others)
-    suggestion.find_driven(suggestion.find_motion(clock))
-    if units:
-        entries["units"] = ", ".join(units)
-    return suggestion
+    listed = ", ".join([*map(evidence.describe, groups), *(titles[k] for k in others)])
+    entries = finder.choices.entries
+    units = tuple(filter(None, [entries.get("units")]))
+    suggestion = Suggestion(entries, units, (f"its columns are {listed}",))
+    clock, suggestion = find_time(evidence, suggestion, others)
+    position, suggestion = find_motion(evidence, suggestion, clock)
+    return find_driven(evidence, suggestion, position)
 
 
 def _read_samples(table: LogTable) -> Array:
@@ -296,7 +347,7 @@ def _read_samples(table: LogTable) -> Array:
     return samples
 
 
-def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
+def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Match]:
     """Yield the groups of columns of numbers, from left to right.
 
     Columns of the other arm of two are none, nor are constants, which no sensor of a moving arm
@@ -306,35 +357,34 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Group]:
     names = finder.robot.joint_names
     own_pieces = {*chain.from_iterable(map(split_name, names))}
     numbers = np.flatnonzero(np.isfinite(samples).any(axis=0)).tolist()
-    found: dict[tuple[int, ...], str] = {}
     if len(names) == 1 or all(text == f"#{k}" for k, text in enumerate(texts, 1)):
-        # What is beside full runs of joints is time.
-        times = _steady_columns(samples)[: len(numbers) % len(names)]
-        others = [k for k in numbers if k not in times]
-        for run in zip(*[iter(others)] * len(names)):
-            is_run = run[-1] - run[0] == len(names) - 1 > 0
-            found[run] = f"#{run[0] + 1}..#{run[-1] + 1}" if is_run else ""
+        matches = _runs(finder, samples, numbers)
     else:
-        for pattern in chain.from_iterable(_patterns(text, names) for text in texts):
-            with suppress(InputError):
-                columns = tuple(fit_pattern(pattern, texts, names)[0])
-                found.setdefault(columns, pattern if is_plain_title(pattern) else "")
-    for columns, text in sorted(found.items()):
-        if not columns or not {*columns} <= {*numbers}:
+        matches = match_alike(finder.titles, names)
+    for match in sorted(matches, key=lambda match: match.columns):
+        if not {*match.columns} <= {*numbers}:
             continue
-        title = finder.titles[columns[0]]
-        values = samples[:, [*columns]]
-        is_other_arm = are_opposite_sides({*split_name(title.text)}, own_pieces)
-        if np.ptp(values, axis=0).any() and not is_other_arm:
-            text = text or ", ".join(column_text(texts, k) for k in columns)
-            yield Group(text, title, columns, values)
+        title = texts[match.columns[0]]
+        is_other_arm = are_opposite_sides({*split_name(title)}, own_pieces)
+        if np.ptp(samples[:, [*match.columns]], axis=0).any() and not is_other_arm:
+            listed = ", ".join(column_text(texts, k) for k in match.columns)
+            yield replace(match, text=match.text or listed)
 
 
-def _patterns(title: str, joint_names: Sequence[str]) -> list[str]:
-    """Return a title with "*" for each of its numbers, or for a joint's name in it."""
-    numbers = re.finditer(r"\d+", title)
-    patterns = [f"{title[: m.start()]}*{title[m.end() :]}" for m in numbers]
-    return patterns + [title.replace(n, "*") for n in joint_names if n in title]
+def _runs(
+    finder: ColumnFinder, samples: Array, numbers: Sequence[int]
+) -> Iterator[Match]:
+    """Yield as many columns that follow each other as the arm has joints.
+
+    ``numbers``: indices of the columns of numbers. What is beside full runs of joints is time.
+    """
+    n_joints = finder.robot.n_joints
+    times = _steady_columns(samples)[: len(numbers) % n_joints]
+    others = [k for k in numbers if k not in times]
+    for run in zip(*[iter(others)] * n_joints):
+        is_run = run[-1] - run[0] == n_joints - 1 > 0
+        text = f"#{run[0] + 1}..#{run[-1] + 1}" if is_run else ""
+        yield match_of_title(finder.titles[run[0]], run, text)
 
 
 def _steady_columns(samples: Array) -> list[int]:
@@ -343,7 +393,8 @@ def _steady_columns(samples: Array) -> list[int]:
     if len(step) < 10:
         return []
     low, high = np.percentile(step, (10, 90), axis=0)
-    is_steady = (np.mean(step > 0.0, axis=0) >= 0.99) & (high < 10.0 * low)
+    is_rising = np.mean(step > 0.0, axis=0) >= STEADY_SHARE
+    is_steady = is_rising & (high < MOST_UNEVEN * low)
     return np.flatnonzero(is_steady).tolist()
 
 
@@ -358,14 +409,14 @@ def _derivative_ratio(q: Array, qd: Array, clock: Array) -> float | None:
     integrals = np.diff(cumulative_trapezoid(qd, clock, axis=0)[::20], axis=0)
     changes = np.diff(q[1::20], axis=0)
     squares = np.sum(changes**2, axis=0)
-    moving = np.flatnonzero(squares > 0.01 * np.max(squares, initial=0.0))
+    moving = np.flatnonzero(squares > MOVING_SHARE * np.max(squares, initial=0.0))
     products = np.sum(changes * integrals, axis=0)[moving]
     norms = np.sqrt(squares * np.sum(integrals**2, axis=0))[moving]
-    if not len(moving) or np.any(products <= 0.9 * norms):
+    if not len(moving) or np.any(products <= DERIVATIVE_CORRELATION * norms):
         return None
     ratios = products / squares[moving]
     ratio = float(np.median(ratios))
-    return ratio if np.ptp(ratios) < 0.1 * ratio else None
+    return ratio if np.ptp(ratios) < RATIO_TOLERANCE * ratio else None
 
 
 def _follows_weight(robot: RobotModel, q: Array, tau: Array) -> bool:
@@ -376,8 +427,13 @@ def _follows_weight(robot: RobotModel, q: Array, tau: Array) -> bool:
     tau = tau[rows]
     # A constant is no torque: what changes has to agree, too, as far as friction lets it.
     changes = (weight - np.mean(weight, axis=0), tau - np.mean(tau, axis=0))
-    for (expected, found), least in (((weight, tau), 0.8), (changes, 0.5)):
-        norms = np.linalg.norm(expected) * np.linalg.norm(found)
-        if np.abs(np.sum(expected * found)) <= least * norms:
-            return False
-    return True
+    return (
+        _correlation(weight, tau) > WEIGHT_CORRELATION
+        and _correlation(*changes) > CHANGE_CORRELATION
+    )
+
+
+def _correlation(expected: Array, found: Array) -> float:
+    """Return the cosine between arrays, without its sign; zero where one is all zeros."""
+    norms = np.linalg.norm(expected) * np.linalg.norm(found)
+    return float(np.abs(np.sum(expected * found)) / norms) if norms else 0.0

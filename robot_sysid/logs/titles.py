@@ -5,32 +5,20 @@ velocity, 3 and the unit deg/s; ``q1`` gives q, 1. Every token has to be in the 
 with a foreign token (``joint1_position_std``, ``q1_filtered``) does not stand for the plain
 quantity.
 
-A column is matched with a joint by the joint's name, or else by its number. What remains of a title
-beside its quantity is taken for the joint's name, and ``joint_names`` matches all of these with the
-model's. Where a quantity has no such names for all joints, the numbers in its titles have to be
-exactly 0..n-1 or 1..n, or those of the model's names. In a log that lists its joints, numbers stand
-for the names of the list. Where names and numbers give different columns, the quantity cannot be
-told, and a log that needs it is refused.
+A title says what it stands for at two confidences: ``joint_quantity`` is certain, and
+``likely_quantity`` goes by single words beside others. ``matching`` finds the columns of all joints
+at either.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any
 
-from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import (
-    joint_note,
-    match_joint_names,
-    name_numbers,
-    split_camel_case,
-)
-from robot_sysid.records import RobotModel
+from robot_sysid.logs.joint_names import split_camel_case
 
 
 def token_set(text: str) -> frozenset[str]:
@@ -69,8 +57,6 @@ _COMPUTED = token_set(
     "model computed calculated calc predicted rigid gravity grav friction ext external simulated "
     "sim"
 )
-# Tokens that mark a measurement; those of the first kind outrank those of the second.
-_MEASURED = (token_set("meas measured measurement msr"), token_set("actual act ist"))
 # Tokens that may be in a title without changing its quantity.
 _NEUTRAL = token_set(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
@@ -79,6 +65,8 @@ _NEUTRAL = token_set(
 )
 # Tokens of a motor's current; "current" may mean "present" as well.
 _CURRENT = token_set("current currents")
+# Tokens of an encoder's counts, which are positions.
+_COUNTS = token_set("ticks counts encoder enc")
 # Sequences of tokens to the single token that they stand for; Unitree calls its torque tauEst.
 _JOINED = {
     " tau est ": " tau ",
@@ -216,6 +204,15 @@ class Title:
             return "current"
         return min(named) if len(named) == 1 else None
 
+    @property
+    def likely_quantity(self) -> str | None:
+        """What it names beside other words: a quantity, or how a torque was not measured."""
+        if not _COUNTS.isdisjoint(self.tokens):
+            return "position"
+        kind = self.torque_kind
+        is_other = kind in ("commanded", "computed")
+        return kind if is_other else self.quantity_beside_name
+
 
 def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
     """Return a title cut into tokens, numbers and unit.
@@ -263,147 +260,6 @@ def _pieces(text: str) -> list[str]:
     return re.findall(r"[a-zA-Z°µ]+|\d+", split_camel_case(with_units).lower())
 
 
-class UnrecognisedError(InputError):
-    """Titles do not say which column is what: there is none for a quantity, or several."""
-
-
-def measured_columns(titles: Sequence[Title], columns: Sequence[int]) -> Sequence[int]:
-    """Return those of some columns (indices) that a word marks as measured; all where none does."""
-    for marks in _MEASURED:
-        marked = [column for column in columns if marks & {*titles[column].tokens}]
-        if marked:
-            return marked
-    return columns
-
-
-def fit_pattern(
-    pattern: str, titles: Sequence[str], joint_names: Sequence[str]
-) -> tuple[Sequence[int], str]:
-    """Return the columns (n,) whose titles fit a pattern, base to terminal, and a note on names.
-
-    "*" stands for the joint's number or name; of several, one does. Nothing is returned where no
-    title fits.
-
-    Raises:
-        InputError: as many titles fit as the arm has no joints, or another arm's.
-    """
-    for star in re.finditer(r"\*", pattern):
-        front = re.escape(pattern[: star.start()])
-        back = re.escape(pattern[star.end() :])
-        matches = map(re.compile(f"{front}(.+){back}").fullmatch, titles)
-        fits = [(m[1], column) for column, m in enumerate(matches) if m]
-        counted = [fit for fit in fits if fit[0].isdecimal()]
-        fits = counted or fits
-        if not fits:
-            continue
-        names = dict(fits)
-        if counted:
-            numbers = {int(text): column for text, column in fits}
-            order = _order_of_numbers([*map(int, names)], joint_names, is_declared=True)
-            columns = [numbers[number] for number in order]
-            note = ""
-        else:
-            matched = match_joint_names([*names], joint_names)
-            columns = [names[text] for text in matched]
-            note = joint_note(matched, [*names])
-        # Of two equal titles, one is lost.
-        if columns and len(fits) == len(names):
-            return columns, note
-        listed = ", ".join(titles[column] for _, column in fits)
-        raise InputError(
-            f"{pattern!r} fits {len(fits)} columns ({listed}), and not one for each of the "
-            f"{len(joint_names)} joints ({', '.join(joint_names)}): list the columns instead, "
-            "base to last joint"
-        )
-    return (), ""
-
-
-Candidates = Mapping[str, Sequence[Sequence[int]]]
-"""Quantity to the indices of the columns that could be it: a list per joint, base to terminal."""
-
-
-def match_joints(
-    titles: Sequence[Title],
-    robot: RobotModel,
-    first_row: Sequence[str],
-    quantities: Sequence[str],
-    has_names: bool,
-) -> tuple[Candidates, str]:
-    """Return the candidate columns of quantities, and a note on how joint names were matched.
-
-    Joints have several candidates where titles name and count them, or occur twice; none where one
-    of them would have none.
-
-    Args:
-        titles: of all columns, from left to right.
-        robot: the arm.
-        first_row: the cells of the first row as text, which may list joint names.
-        quantities: of ``Title.joint_quantity``.
-        has_names: whether positions are not declared, and their titles may name joints in other
-            words than the model.
-
-    Raises:
-        InputError: the joints' names are those of two arms, or of another arm.
-    """
-    joint_names = robot.joint_names
-    listed_names = _listed_names(titles, first_row, robot.n_joints)
-    # Quantity, and name or number of a joint, to indices of columns.
-    named: Mapping[Any, list[int]] = defaultdict(list)
-    counted: Mapping[Any, list[int]] = defaultdict(list)
-    for column, title in enumerate(titles):
-        name = title.joint
-        numbers = title.numbers
-        quantity = title.joint_quantity
-        if quantity and len(numbers) == 1:
-            name = listed_names.get(numbers[0], name)
-        if name:
-            named[quantity or title.quantity_beside_name, name].append(column)
-        # A time without a number is the row's, not the single joint's own.
-        if robot.n_joints == 1 and quantity != "joint_time":
-            numbers = numbers or (0,)
-        if len(numbers) == 1:
-            counted[quantity, numbers[0]].append(column)
-    names = [name for quantity, name in named if has_names and quantity == "position"]
-    matched = match_joint_names(names, joint_names)
-    candidates = {}
-    for quantity in quantities:
-        by_name = [named[quantity, name] for name in matched or joint_names]
-        # Names decide for all joints of a quantity or for none.
-        if not all(by_name):
-            by_name = [[]] * robot.n_joints
-        taken = {*chain(*by_name)}
-        by_number = {}
-        for (its_quantity, number), columns in counted.items():
-            others = [column for column in columns if column not in taken]
-            if its_quantity == quantity and others:
-                by_number[number] = others
-        order = () if listed_names else _order_of_numbers([*by_number], joint_names)
-        numbered = [by_number[k] for k in order] or [[]] * robot.n_joints
-        candidates[quantity] = [
-            [*measured_columns(titles, columns), *measured_columns(titles, others)]
-            for columns, others in zip(by_name, numbered)
-        ]
-    return candidates, joint_note(matched, names)
-
-
-def _order_of_numbers(
-    numbers: Sequence[int], joint_names: Sequence[str], is_declared: bool = False
-) -> Sequence[int]:
-    """Return which of the numbers in titles is each joint's, base to terminal; () for no answer.
-
-    They are those of the joints' names, or count from 0 or 1; from any number where a user has
-    declared the titles.
-    """
-    order = sorted(numbers)
-    own_numbers = name_numbers(joint_names)
-    if order == sorted(own_numbers):
-        return own_numbers
-    starts = order[:1] if is_declared else (0, 1)
-    is_counted = any(order == [*range(k, k + len(joint_names))] for k in starts)
-    # Where the model's names are numbered in another order, counting contradicts them.
-    return order if is_counted and own_numbers == sorted(own_numbers) else ()
-
-
 def _words_beside_quantity(unitless: str) -> str:
     """Return a title without its quantity and unit; "" for a bare number, which is counted.
 
@@ -414,35 +270,3 @@ def _words_beside_quantity(unitless: str) -> str:
     kept = [piece for piece in pieces if piece.lower() not in not_names]
     name = "".join(kept).strip(" ._/:-")
     return name if re.search(r"[^\W\d_]", name) else ""
-
-
-def ambiguity_error(
-    quantity: str, joint: str, titles: Sequence[Title], columns: Sequence[int]
-) -> UnrecognisedError:
-    """Return the error for a quantity that each of several columns (indices) could be.
-
-    ``joint`` is "" for a quantity of no joint.
-    """
-    listed = " and ".join(repr(titles[column].text) for column in columns)
-    of_joint = f" of joint {joint}" if joint else ""
-    return UnrecognisedError(f"{listed} could both be the {quantity}{of_joint}")
-
-
-def _listed_names(
-    titles: Sequence[Title], first_row: Sequence[str], n_joints: int
-) -> Mapping[int, str]:
-    """Return the number of each joint in a log's own list of names; empty where it has none.
-
-    ROS lists names in any order, such as that of the alphabet: in a column "name" with all names in
-    its first row, or in columns "name[0]", "name[1]", ... with one each.
-    """
-    numbers = [t.numbers[0] for t in titles if t.quantity == "position" and t.numbers]
-    first_number = min(numbers, default=0)
-    names: dict[int, str] = {}
-    for title, cell in zip(titles, first_row):
-        if title.tokens and title.tokens[-1] in ("name", "names"):
-            start = title.numbers[0] if title.numbers else first_number
-            cell_names = re.findall(r"[^\s,'\"\[\]()]+", cell)
-            names.update(enumerate(cell_names, start))
-    # A shorter one is the name of something else, such as the robot.
-    return names if len(names) >= max(2, n_joints) else {}
