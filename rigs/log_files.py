@@ -142,14 +142,16 @@ def titles_alone(titles: Sequence[str], first_row: Sequence[str] = ()) -> LogTab
 
 
 def read_measurements(
-    path: Path,
+    source: Path | LogTable,
     joint_names: Sequence[str],
     limits: Limits | None = None,
     is_slide: Sequence[bool] = (),
     **options: Any,
 ) -> Recording:
     """Read a log with options such as columns or units."""
-    return open_log(arm_of(joint_names, limits, is_slide), path, LogOptions(**options))
+    return open_log(
+        arm_of(joint_names, limits, is_slide), source, LogOptions(**options)
+    )
 
 
 def assert_refused(
@@ -162,14 +164,14 @@ def assert_refused(
 
 
 def assert_read(
-    path: Path,
+    source: Path | LogTable,
     expected: Recording,
     names: Sequence[str] = ("q", "tau"),
     atol: float = 0.0,
     **options: Any,
 ) -> Recording:
     """Assert that a log of JOINTS is read with these samples, and return it."""
-    log = read_measurements(path, JOINTS, **options)
+    log = read_measurements(source, JOINTS, **options)
     assert_samples(expected, log, names, atol)
     return log
 

@@ -41,7 +41,7 @@ QUICK = {
 """Recordings of the fast run; the others take seconds to write."""
 
 
-def marked(logs):
+def parameters_of(logs):
     """Return the recordings as parameters, slow but for those of the fast run."""
     parameters = []
     for log in logs:
@@ -52,7 +52,7 @@ def marked(logs):
     return parameters
 
 
-@pytest.mark.parametrize("log", marked(DRIVER_LOGS))
+@pytest.mark.parametrize("log", parameters_of(DRIVER_LOGS))
 def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log):
     """Whatever the driver's order, names, units, turns and further topics are."""
     expected = log.motion()
@@ -64,7 +64,7 @@ def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log)
     np.testing.assert_allclose(recording.tau, expected.tau, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("log", marked(UNWEIGHED_LOGS))
+@pytest.mark.parametrize("log", parameters_of(UNWEIGHED_LOGS))
 def test_motor_currents_are_named_and_never_fitted(tmp_path, monkeypatch, capsys, log):
     monkeypatch.chdir(tmp_path)
     model = str(log.robot(tmp_path).path)

@@ -295,6 +295,8 @@ _ALOHA_ARRAYS = (
     "observations/effort",
     "action",
 )
+# Rate of ALOHA's recorder [Hz]: its files hold no time.
+_ALOHA_RATE = 50.0
 # Names of the joints of one of ALOHA's arms.
 _ALOHA_JOINTS = (
     "waist",
@@ -321,9 +323,9 @@ def hdf5_table(path: Path, *_: Any) -> LogTable:
         file.visititems(datasets.__setitem__)
         if _ALOHA_ARRAYS[0] in file:
             datasets = {name: file[name] for name in _ALOHA_ARRAYS if name in file}
-            # ALOHA's files hold no time.
-            layout = "ALOHA HDF5, without time stamps: rows taken to be 50 Hz"
-            choices = ColumnChoices(rate=50.0)
+            rate = f"{_ALOHA_RATE:g} Hz"
+            layout = f"ALOHA HDF5, without time stamps: rows taken to be {rate}"
+            choices = ColumnChoices(rate=_ALOHA_RATE)
             joints = [*_ALOHA_JOINTS]
             if datasets[_ALOHA_ARRAYS[0]].shape[-1] > len(joints):
                 joints = [*map("/".join, product(("left", "right"), joints))]

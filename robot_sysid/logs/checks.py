@@ -17,13 +17,49 @@ from itertools import compress
 import numpy as np
 
 from robot_sysid.errors import InputError, prefix_input_errors
-from robot_sysid.logs.table import Lines, LogTable, read_cells, separate_recordings
+from robot_sysid.logs.table import (
+    LARGEST_NUMBER,
+    Lines,
+    LogTable,
+    read_cells,
+    separate_recordings,
+)
 from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
 from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
 from robot_sysid.wording import option_name, option_setting, with_option_names
 
 _TURN = 2.0 * np.pi
+LARGEST_WRAP_STEP = 0.5
+"""Motion within one sample beside which a full turn is a wrap [rad]: 100 rad/s at 200 Hz."""
+LARGEST_VALUE = 1e7
+"""Larger positions and torques are faults of a file [SI units]."""
+MOST_UNREADABLE = 0.01
+"""Share of unreadable rows above which a file is no such table (chosen)."""
+MOST_INCOMPLETE = 0.05
+"""Share of rows that lack something above which a log, or a quantity, is not used: with 5 % of rows
+missing, most filter windows are still complete (chosen)."""
+SHORTEST_STEP = 1e-5
+LONGEST_STEP = 0.5
+"""Sampling periods of a plausible unit of time [s]; rates of 1 to 1000 Hz are usual."""
+FEW_SAMPLES = 50.0
+"""Samples per second below which a note is due: 100 do for a slow arm, 30 hardly ever
+(docs/logs.md)."""
+LARGEST_DELAY = 0.1
+"""Difference of a joint's time stamp from its row's that one clock makes [s]: a few sampling
+periods of the slowest logs."""
+LARGEST_SPEED = 30.0
+"""Speed that no arm reaches [rad/s or m/s]; a log in degrees does at half a radian per second."""
+MOST_FAST = 0.01
+"""Share of steps that may be faster: single samples may be wrong."""
+MOST_RANGES = 10.0
+"""Ranges of a slide, whose zero may be anywhere, from its zero to its farthest position."""
+SMALLEST_JUMP = 0.5
+"""Step of a position that is no encoder's noise [rad or m]."""
+JUMP_SPEED = 100.0
+"""Speed that no joint has within one step [rad/s or m/s]."""
+LEAST_TRAVEL = 0.01
+"""Travel below which a joint does not move [rad or m]."""
 # What positions of a hinge may be that are too large for degrees.
 _COUNTS = (
     ", hundredths of them ({units=cdeg}) or counts of an encoder ({units=4096/rev} for 4096 a "
@@ -61,9 +97,7 @@ def read_recording(
             # Full turns by which the position jumps against the row before.
             step = np.diff(q[:, joint])
             turns = np.round(step / _TURN)
-            # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at
-            # 200 Hz.
-            turns[np.abs(step - turns * _TURN) > 0.5] = 0.0
+            turns[np.abs(step - turns * _TURN) > LARGEST_WRAP_STEP] = 0.0
             q[1:, joint] -= _TURN * np.cumsum(turns)
         recording = Recording(
             time=cells[:, 1],
@@ -98,7 +132,7 @@ def _complete_velocities(
     is_used = ~np.isnan(cells[:, 2:start]).any(axis=1)
     count = np.count_nonzero(np.isnan(cells[is_used, velocity]).any(axis=1))
     # In a few rows they are missing beside what is needed.
-    if count <= 0.05 * np.count_nonzero(is_used):
+    if count <= MOST_INCOMPLETE * np.count_nonzero(is_used):
         return columns, cells, []
     note = f"recorded velocities are not used, and not needed: {count} rows lack them"
     return replace(columns, velocity=()), np.delete(cells, velocity, axis=1), [note]
@@ -119,13 +153,11 @@ def usable_rows(
         InputError: too many rows cannot be used.
     """
     lines = cells[:, 0].astype(np.int64)
-    # Larger numbers are faults of a file: times [s], even of a clock of nanoseconds that is read as
-    # seconds, and positions and torques in SI units.
-    is_impossible = np.abs(cells[:, 1]) > 1e24
+    is_impossible = np.abs(cells[:, 1]) > LARGEST_NUMBER
     is_foreign = ~is_impossible
     # Positions and torques; one column at a time, to bound memory.
     for column in cells.T[2 : 2 + 2 * len(columns.position)]:
-        is_impossible |= np.abs(column) > 1e7
+        is_impossible |= np.abs(column) > LARGEST_VALUE
         is_foreign &= np.isnan(column)
     is_usable = np.isfinite(cells).all(axis=1) & ~is_impossible
     missing = np.flatnonzero(~(is_usable | is_impossible | is_foreign))
@@ -141,15 +173,13 @@ def usable_rows(
     after = lines[is_usable][1:]
     n_read = int(np.count_nonzero(~is_foreign))
     notes: list[str] = []
-    # The share of rows above which a log is refused for an anomaly, and the remedy. The shares are
-    # choices: with more than 1 % of unreadable rows a file is no such table; with 5 % of rows
-    # missing, most filter windows are still complete.
+    # The share of rows above which a log is refused for an anomaly, and the remedy.
     for anomaly, odd, first, share, remedy in (
         (
             "are no rows of numbers",
             lines[is_impossible],
             complaint,
-            0.01,
+            MOST_UNREADABLE,
             "mend the recording, or name the right columns with {columns FILE}; time may be in "
             "seconds, or such as 2024-05-01T12:00:00.005",
         ),
@@ -157,7 +187,7 @@ def usable_rows(
             "have empty or NaN cells",
             lines[missing],
             empty,
-            0.05,
+            MOST_INCOMPLETE,
             "record all joints, and position and torque, in one row, or keep a broken column that "
             "is not needed out ('velocity = none') with {columns FILE}",
         ),
@@ -165,7 +195,7 @@ def usable_rows(
             "repeat the time stamp before them",
             after[step == 0.0],
             "",
-            0.05,
+            MOST_INCOMPLETE,
             "write the time with more digits, or 'rate = HZ' in {columns FILE} for evenly spaced "
             "rows",
         ),
@@ -200,15 +230,13 @@ def usable_rows(
 def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = sampling_period(recording.time)
-    # Rates of 1 to 1000 Hz are usual.
-    if not 1e-5 <= period <= 0.5:
+    if not SHORTEST_STEP <= period <= LONGEST_STEP:
         raise InputError(
             f"time steps of {period:.6g} s are not those of a recording; pass "
             f"{option_setting('units', 'ms')}, us or ns, or write 'time = 60 * TITLE' in "
             f"{option_name('columns', 'FILE')}"
         )
-    # 100 samples per second do for a slow arm, 30 hardly ever (docs/logs.md).
-    if period * 50.0 > 1.0:
+    if period * FEW_SAMPLES > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(recording.time)
     # Between recordings, such as the episodes of a data set, no sample is missing.
@@ -228,8 +256,7 @@ def require_one_clock(recording: Recording) -> None:
     if stamps is None:
         return
     difference = np.max(np.abs(stamps - recording.time[:, None]))
-    # A few sampling periods of the slowest logs.
-    if np.any(np.diff(stamps, axis=0) < 0.0) or difference > 0.1:
+    if np.any(np.diff(stamps, axis=0) < 0.0) or difference > LARGEST_DELAY:
         raise InputError(
             f"joints' own time stamps run backwards, or are of another clock (up to "
             f"{difference:.3g} s off the row's); keep them out with 'joint_time = none' in the "
@@ -250,14 +277,12 @@ def require_units(recording: Recording, robot: RobotModel, columns: ColumnMap) -
         q = recording.q[:, joint]
         largest = np.max(np.abs(q))
         speed = np.abs(np.diff(q)) / step
-        # Two turns either way are more than an arm's joints have; a slide, whose zero may be
-        # anywhere, has ten times its range at most.
+        # Two turns either way are more than an arm's joints have.
         reach = 4.0 * np.pi
         if is_slide:
             limits = [robot.limits.lower[joint], robot.limits.upper[joint]]
-            reach = 10.0 * np.max(np.abs(limits))
-        # None reaches 30 rad/s; a log in degrees does at half a radian per second.
-        if largest <= reach and np.mean(speed > 30.0) <= 0.01:
+            reach = MOST_RANGES * np.max(np.abs(limits))
+        if largest <= reach and np.mean(speed > LARGEST_SPEED) <= MOST_FAST:
             continue
         probable, unit = ("mm", "m") if is_slide else ("deg", "rad")
         fault = f"positions look like {'millimetres' if is_slide else 'degrees'}"
@@ -280,8 +305,8 @@ def require_units(recording: Recording, robot: RobotModel, columns: ColumnMap) -
 
 def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> None:
     """Raise InputError for single positions that no joint can reach within one step."""
-    # An encoder's noise does not reach half a radian; it adds to the speed of a joint.
-    threshold = np.maximum(0.5, 100.0 * np.diff(recording.time))
+    # Noise adds to the speed of a joint.
+    threshold = np.maximum(SMALLEST_JUMP, JUMP_SPEED * np.diff(recording.time))
     for name, q in zip(recording.joint_names, recording.q.T):
         step = np.abs(np.diff(q))
         # What repeats its value for a while is left out (``diagnosis.limited_in_time``).
@@ -296,7 +321,7 @@ def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> Non
 def rest_notes(recording: Recording, robot: RobotModel) -> Iterator[str]:
     """Yield a note on joints that do not move; refuse an arm at rest."""
     travel = np.ptp(recording.q, axis=0)
-    is_at_rest = travel < 0.01
+    is_at_rest = travel < LEAST_TRAVEL
     if np.all(is_at_rest):
         unit = position_unit(robot.is_slide[np.argmax(travel)])
         raise InputError(

@@ -71,7 +71,9 @@ class ColumnFinder:
         """Return the titles that name a quantity beside other words."""
         return [t.text for t in self.titles if t.quantity_beside_name == quantity]
 
-    def _declared(self, quantity: str) -> tuple[Mapping[str, _Source | None], str]:
+    def _declared_columns(
+        self, quantity: str
+    ) -> tuple[Mapping[str, _Source | None], str]:
         """Return joint name to the column that is declared for a quantity, None for one that has
         none; and a note on joints' names, "" for none.
         """
@@ -106,7 +108,7 @@ class ColumnFinder:
         return "position", "velocity", "joint_time", self.driven
 
     @cached_property
-    def _matched(self) -> tuple[Candidates, str]:
+    def _joint_matches(self) -> tuple[Candidates, str]:
         """The candidate columns of quantities, and a note on the joints' names."""
         declared = self.choices.of("position")
         has_names = "" not in declared and len(declared) < self.robot.n_joints
@@ -139,8 +141,10 @@ class ColumnFinder:
         """
         # What is not needed has to be there, too.
         keys = [name.partition(".")[0] for name in self.choices.entries]
-        pattern_notes = [self._declared(k)[1] for k in keys if k in JOINT_COLUMNS]
-        _, joint_note = self._matched
+        pattern_notes = [
+            self._declared_columns(k)[1] for k in keys if k in JOINT_COLUMNS
+        ]
+        _, joint_note = self._joint_matches
         notes = [joint_note, *dict.fromkeys(pattern_notes)]
         found: dict[str, tuple[Column, ...]] = {}
         for quantity in self._quantities:
@@ -185,7 +189,7 @@ class ColumnFinder:
     def _find_joints(self, quantity: str) -> tuple[Column, ...]:
         """Return one column per joint, or () where an optional quantity lacks a joint's."""
         n_joints = self.robot.n_joints
-        declared, _ = self._declared(quantity)
+        declared, _ = self._declared_columns(quantity)
         if [*declared.values()] == [None] * n_joints:
             return ()
         found = [self._find_joint(quantity, k, declared) for k in range(n_joints)]
@@ -201,7 +205,7 @@ class ColumnFinder:
     ) -> Column | None:
         """Return the column of a joint (index), declared or certain; None where there is none."""
         name = self.robot.joint_names[joint]
-        candidates, _ = self._matched
+        candidates, _ = self._joint_matches
         indices = candidates[quantity][joint]
         source = declared.get(name)
         if source:

@@ -222,12 +222,23 @@ def _plain(value: Any) -> Any:
     return [] if isinstance(value, bytes) else [*map(_plain, value)]
 
 
+IN_TURN = 0.9
+"""Share of times of rows of signals that are there once, above which signals were read in turn."""
+MOST_REPEATED = 0.05
+"""Share of rows that may repeat the time and name of another one: a writer may stutter."""
+
+
 def text_table(path: Path, joint_names: Sequence[str], *_: Any) -> LogTable:
-    """Return a text file as a table; lists in cells become columns, rows of signals are pivoted.
+    """Return a text file as a table, for an arm with these joints (n,)."""
+    return dialect_table(read_dialect(path), joint_names)
+
+
+def dialect_table(dialect: Dialect, joint_names: Sequence[str]) -> LogTable:
+    """Return text as a table; lists in cells become columns, rows of signals are pivoted.
 
     ``joint_names``: (n,) of the arm.
     """
-    dialect = read_dialect(path)
+    path = dialect.path
     titles = dialect.titles
     cells = map(list_in_cell, dialect.first_row)
     # A list of names alone is read with the numbers of the titles.
@@ -294,8 +305,7 @@ def _long_table(dialect: Dialect) -> LogTable | None:
             rows.append(("/".join(cells[k] for k in naming), cells))
     counts = Counter(name for name, _ in rows)
     instants = {cells[time_column] for _, cells in rows}
-    # Nearly all times are there once.
-    in_turn = len(instants) > 0.9 * len(rows)
+    in_turn = len(instants) > IN_TURN * len(rows)
     if in_turn and (len(counts) < 2 or max(counts.values()) > min(counts.values()) + 1):
         return None
     is_value = len(measured) == 1 and _VALUE.fullmatch(titles[measured[0]])
@@ -311,7 +321,7 @@ def _long_table(dialect: Dialect) -> LogTable | None:
         state.update(row)
         if in_turn:
             state[f"{name}/time"] = time
-    if repeated > 0.05 * len(rows):
+    if repeated > MOST_REPEATED * len(rows):
         raise InputError(
             f"{dialect.path} has a row per signal, and {repeated} rows repeat the time and name of "
             "another one; give each recording a file of its own"

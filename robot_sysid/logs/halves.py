@@ -13,9 +13,18 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices
-from robot_sysid.logs.table import LogTable, make_table
+from robot_sysid.logs.table import LARGEST_NUMBER, LogTable, make_table
 from robot_sysid.records import Array, Column, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
+
+SAME_TIME = 0.01
+"""Share of a step by which time stamps of one instant may differ."""
+SAME_RATE = 0.95, 1.05
+"""Ratios of sampling periods between which torques may be interpolated at other instants."""
+LEAST_COMMON = 0.5
+"""Share of the shorter file that both have to last together."""
+FEWEST_ROWS = 10
+"""Rows below which a file has no times to join it by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +142,7 @@ def _are_equal(times: Array, others: Array) -> bool:
     """Return whether two arrays of times (N,) deviate by less than a hundredth of their step."""
     if not np.isfinite([times, others]).all():
         return False
-    return bool(np.max(np.abs(times - others)) < 0.01 * sampling_period(times))
+    return bool(np.max(np.abs(times - others)) < SAME_TIME * sampling_period(times))
 
 
 def _interpolate(
@@ -151,18 +160,18 @@ def _interpolate(
     from scipy.interpolate import CubicSpline
 
     q, tau = (_increasing(cells) for cells in (q, tau))
-    if min(len(q), len(tau)) < 10:
+    if min(len(q), len(tau)) < FEWEST_ROWS:
         raise InputError(f"{position} and {torque} have too few rows with times")
     start = max(q[0, 0], tau[0, 0])
     end = min(q[-1, 0], tau[-1, 0])
     lasting = [f"from {cells[0, 0]:.6g} to {cells[-1, 0]:.6g}" for cells in (q, tau)]
-    if end - start < 0.5 * min(np.ptp(q[:, 0]), np.ptp(tau[:, 0])):
+    if end - start < LEAST_COMMON * min(np.ptp(q[:, 0]), np.ptp(tau[:, 0])):
         raise InputError(
             f"{position} lasts {lasting[0]} and {torque} {lasting[1]}: less than half is common "
             "to both; give files of one run with times of one clock"
         )
     periods = [sampling_period(cells[:, 0]) for cells in (q, tau)]
-    if not 0.95 < periods[0] / periods[1] < 1.05:
+    if not SAME_RATE[0] < periods[0] / periods[1] < SAME_RATE[1]:
         raise InputError(
             f"{position} has a row each {periods[0]:.4g} and {torque} each {periods[1]:.4g} of "
             "time, which cannot be joined; export both at one rate"
@@ -182,7 +191,6 @@ def _interpolate(
 
 def _increasing(cells: Array) -> Array:
     """Return the rows of numbers that are later than all before; time is their first column."""
-    # Larger numbers are faults of a file.
-    rows = cells[(np.abs(cells) < 1e24).all(axis=1)]
+    rows = cells[(np.abs(cells) < LARGEST_NUMBER).all(axis=1)]
     is_later = np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0.0
     return rows[is_later]

@@ -183,8 +183,7 @@ TableReader = Callable[[Path, Sequence[str], LogOptions], LogTable]
 """Reads a log of one form as a table: its path, the joints of the arm, and options."""
 _BAG = "a ROS bag", bag_table
 _HDF5 = "an HDF5 file", arrays.hdf5_table
-# Pattern of a file's first bytes to its form and the form's reader; the first that fits counts.
-_FILES: Mapping[bytes, tuple[str, TableReader]] = {
+FILES: Mapping[bytes, tuple[str, TableReader]] = {
     rb"\x89MCAP0": ("an MCAP file", documents.mcap_table),
     rb"#ROSBAG V": _BAG,
     rb"SQLite format 3": _BAG,
@@ -207,11 +206,12 @@ _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     ),
     rb"": ("a table of text", documents.text_table),
 }
-# A file in a folder to the folder's form and the form's reader.
-_FOLDERS: Mapping[str, tuple[str, TableReader]] = {
+"""Pattern of a file's first bytes to its form and the form's reader; the first that fits counts."""
+FOLDERS: Mapping[str, tuple[str, TableReader]] = {
     "metadata.yaml": _BAG,
     "meta/info.json": ("a LeRobot data set", arrays.lerobot_table),
 }
+"""A file in a folder to the folder's form and the form's reader."""
 # What to do where columns are not recognised.
 _REMEDY = (
     "if the model is of this arm, say which column is what with {columns FILE}, of lines such as "
@@ -235,7 +235,7 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         options: topic, episodes and whether commands are read.
     """
     if os.path.isdir(path):  # Path.is_dir raises where a name is too long
-        forms = [form for name, form in _FOLDERS.items() if (path / name).is_file()]
+        forms = [form for name, form in FOLDERS.items() if (path / name).is_file()]
     else:
         refuse_special_file(path, "a log is read twice: write it to a file")
         try:
@@ -246,7 +246,7 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
             raise InputError(f"cannot read the log {path}: {reason}") from error
         forms = [
             form
-            for pattern, form in _FILES.items()
+            for pattern, form in FILES.items()
             if re.match(pattern, beginning, re.DOTALL)
         ]
     if not forms:

@@ -38,6 +38,9 @@ DEFINITIONS = {
 }
 """Message types that rosbags does not define, for bags without definitions (.db3)."""
 
+TURN_DEG = 360.0
+"""A full turn [deg]."""
+
 Key = tuple[str, str]
 """Names of a joint and of a quantity."""
 Sample = Mapping[Key, float]
@@ -98,9 +101,10 @@ def _read_kortex_feedback(message: Any) -> Sample:
     """
     rows = [(a.position, a.velocity, a.torque) for a in message.actuators]
     angle, speed, torque = np.array(rows, float).reshape(-1, 3).T
+    half_turn = 0.5 * TURN_DEG
     return _joint_sample(
         [f"actuator_{number}" for number in range(1, len(rows) + 1)],
-        position=np.radians((angle + 180.0) % 360.0 - 180.0),
+        position=np.radians((angle + half_turn) % TURN_DEG - half_turn),
         velocity=np.radians(speed),
         effort=torque,
     )

@@ -34,7 +34,8 @@ def numbers_in(value: Any, title: str = "") -> Iterator[tuple[str, float]]:
         value = value.isoformat()
     if isinstance(value, Mapping):
         yield from _numbers_in_mapping(value, title)
-    elif isinstance(value, (list, tuple)):
+        return
+    if isinstance(value, (list, tuple)):
         for item, item_title in zip(value, part_titles(title, len(value))):
             has_name = isinstance(item, Mapping) and isinstance(item.get("name"), str)
             own_title = f"{title}/{item['name']}" if has_name else item_title

@@ -31,6 +31,12 @@ from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 
 ROWS = 10_000
 """Number of rows of a log that are read at a time from files that are not text."""
+LARGEST_NUMBER = 1e24
+"""Larger numbers are faults of a file, even times of a clock of nanoseconds."""
+_SPARE_ROWS = 1.1
+"""Memory over the rows that a file holds as far as is known: lines differ in length."""
+_NEARLY_ALL = 0.999
+"""Largest share of a file that is shown as read within the loop that reads it."""
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
 
@@ -239,7 +245,7 @@ def read_cells(
         last = count + len(block.lines)
         if last > len(cells):
             # Memory beyond the rows that are read is not touched, and so not taken.
-            size = round(1.1 * last / block.share_read)
+            size = round(_SPARE_ROWS * last / block.share_read)
             larger = np.empty((size, cells.shape[1]))
             larger[:count] = cells[:count]
             cells = larger
@@ -248,7 +254,7 @@ def read_cells(
         count = last
         complaint = complaint or block.complaint
         # All is done only behind the loop, though the last blocks may report a share of 1.
-        done = min(block.share_read, 0.999)
+        done = min(block.share_read, _NEARLY_ALL)
         text = f"{table.row_noun} {block.lines[-1]}"
         progress.advance(label, done, 1.0, text)
     progress.advance(label, 1.0, 1.0, "")

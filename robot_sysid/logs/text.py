@@ -31,8 +31,6 @@ _EMPTY = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missin
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
 # Number of characters from which on a line is no row of a table; csv refuses cells of 131072.
 _LONGEST_LINE = 100_000
-CHUNK = 1_000_000
-"""Number of characters of a log that are in memory as lines at a time."""
 # Characters that no line of text holds.
 _BINARY = re.compile(r"[\0-\x08\x0b-\x1f]")
 # Characters with which a comment line begins.
@@ -50,6 +48,7 @@ class Dialect:
         titles: of the columns, as written; "#1", "#2", ... where the file has none.
         header_line: file line of the header; 0 where it has none, or in a comment.
         first_row: the cells of the first row of data, as many as titles; "" for missing ones.
+        chunk_size: number of characters that are in memory as lines at a time.
     """
 
     path: Path
@@ -58,6 +57,7 @@ class Dialect:
     titles: tuple[str, ...]
     header_line: int
     first_row: tuple[str, ...]
+    chunk_size: int = 1_000_000
 
     def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield the rows of a log, with the columns of these indices; dates as seconds."""
@@ -89,7 +89,7 @@ class Dialect:
 
     def _lines(self) -> Iterator[tuple[int, list[str], float]]:
         """Yield the lines below the header, see ``_read_lines``."""
-        return _read_lines(self.path, self.encoding, CHUNK, self.header_line)
+        return _read_lines(self.path, self.encoding, self.chunk_size, self.header_line)
 
     def _read_plain_rows(self, lines: Sequence[str]) -> Array | None:
         """Return the cells (R, C) of lines that are all rows of plain numbers, else None.

@@ -28,6 +28,44 @@ FEWEST_SAMPLES = 64
 """Fewest samples of a log that a spectrum is made from (chosen)."""
 
 
+LONGEST_SEGMENT = 20.0
+"""Length of segments [s]: longer ones only resolve frequencies finer than any cut-off needs."""
+HIGHEST_CUTOFF = 0.2
+"""Highest cut-off over the sample rate."""
+MOST_LOST = 0.2
+"""Share of the log that the filters may take at its ends."""
+FASTEST_SHARE = 0.99
+"""Share of the squared speed below the highest frequency at which the arm moves."""
+HIGHEST_RATIO = 15.0
+"""Largest ratio of cut-off to that frequency that is of use: docs/measurements.md,
+tests/signals/test_cutoff.py."""
+LOWEST_RATIO = 4.0
+"""Smallest ratio: below it, links that move fast are told from friction no more. One that was 40 %
+too heavy was found 120 % too heavy at 1.9 times the frequency, and 60 % at 4 times (positions of 12
+bits at 30 Hz)."""
+BEARABLE_ERROR = 2.5e-3
+"""Expected squared error up to which a cut-off is raised to the smallest ratio: it biases an
+inertia by 0.25 %."""
+HARMLESS_ERROR = 5e-5
+"""Expected squared error that does no harm, as it biases an identified inertia by 0.005 %."""
+FLAT = 1.25
+"""Ratio to the least error up to which errors count as equal: around its minimum it is flat."""
+BEST_SHARE = 0.6
+"""Share of the highest cut-off with a small error at which other data are predicted best: torques
+hold more that is not motion the higher the frequency (docs/measurements.md)."""
+NOISE_BAND = 0.25, 0.475
+"""Frequencies over the sample rate that count as noise alone: from half of the Nyquist frequency to
+just below it."""
+MEAN_TO_MEDIAN = 1.05
+"""The median of a chi-square lies a little below its mean; with this many segments by 5 %."""
+ABOVE_NOISE = 6.0
+"""Multiple of the noise that noise alone hardly ever reaches."""
+SEARCHED_SHARE = 0.9
+"""Share of the spectrum in which the end of the motion is looked for."""
+BLACKMAN_HARRIS = 0.35875, -0.48829, 0.14128, -0.01168
+"""Coefficients of the window (Harris, Proc. IEEE 66, 1978)."""
+
+
 class CutoffChoice(NamedTuple):
     """A cut-off that was chosen from the data.
 
@@ -55,23 +93,21 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         q: (N, n) positions on a uniform grid [rad].
         rate: of the grid [Hz].
     """
-    # Segments longer than 20 s would only resolve frequencies finer than any cut-off needs.
-    longest = max(FEWEST_SAMPLES, round(20.0 * rate))
+    longest = max(FEWEST_SAMPLES, round(LONGEST_SEGMENT * rate))
     # At least four segments; the second difference has two samples less.
     length = min((len(q) - 2) // 4, longest)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))[1:]
     motion, noise = _acceleration_spectra(q, length, frequency / rate)
-    highest = 0.2 * rate
+    highest = HIGHEST_CUTOFF * rate
     # The half width [s] is inversely proportional to the cut-off; the low-pass of positions and
-    # that of regressor columns lose one half width each at both ends, together a fifth of the log.
+    # that of regressor columns lose one half width each at both ends.
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
-    lowest = 4.0 * half_width_times_cutoff / (0.2 * len(q) / rate)
+    lowest = 4.0 * half_width_times_cutoff / (MOST_LOST * len(q) / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
     speed = np.cumsum(motion / frequency**2)
-    # The highest frequency at which the arm moves has 99 % of the squared speed below it.
-    fastest = frequency[np.searchsorted(speed, 0.99 * speed[-1])]
-    # The largest ratio that is of use: docs/measurements.md, tests/signals/test_cutoff.py.
-    bound = max(candidates[0], 15.0 * fastest)
+    # The highest frequency at which the arm moves.
+    fastest = frequency[np.searchsorted(speed, FASTEST_SHARE * speed[-1])]
+    bound = max(candidates[0], HIGHEST_RATIO * fastest)
     candidates = candidates[candidates <= bound]
 
     def error(cutoff: float) -> float:
@@ -81,18 +117,11 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         return float((1.0 - gain) ** 2 @ motion + gain**2 @ noise)
 
     errors = np.array([*map(error, candidates)])
-    # An error of 5e-5 does no harm, as it biases an identified inertia by the same share, 0.005 %;
-    # and around its minimum the error is flat.
-    largest_error = max(5e-5, 1.25 * errors.min())
+    largest_error = max(HARMLESS_ERROR, FLAT * errors.min())
     accurate_cutoffs = candidates[errors <= largest_error]
-    # Torques hold more that is not motion the higher the frequency: other data are predicted best
-    # at this share of the highest cut-off whose error is small (docs/measurements.md).
-    cutoff = float(max(0.6 * accurate_cutoffs[-1], candidates[0]))
-    # Below four times the frequency, links that move fast are told from friction no more. One that
-    # was 40 % too heavy was found 120 % too heavy at 1.9 times the frequency, and 60 % at 4 times
-    # (positions of 12 bits at 30 Hz). An error that biases an inertia by 0.25 % is bearable.
-    least = min(4.0 * fastest, highest)
-    if cutoff < least and error(least) < 2.5e-3:
+    cutoff = float(max(BEST_SHARE * accurate_cutoffs[-1], candidates[0]))
+    least = min(LOWEST_RATIO * fastest, highest)
+    if cutoff < least and error(least) < BEARABLE_ERROR:
         cutoff = float(least)
     noise_share = np.sqrt(np.sum(noise))
     return CutoffChoice(cutoff, float(np.sqrt(error(cutoff))), noise_share)
@@ -112,13 +141,11 @@ def _acceleration_spectra(
     power = _second_difference_spectrum(q, length)
     # Power where positions are white noise of unit power.
     shape = (2.0 - 2.0 * np.cos(2.0 * np.pi * frequency[:, None])) ** 2
-    # Frequencies that count as noise alone: from half of the Nyquist frequency to just below it.
-    high = (frequency > 0.25) & (frequency < 0.475)
-    # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
-    level = 1.05 * np.median(power[high] / shape[high], axis=0)
+    low_end, high_end = NOISE_BAND
+    high = (frequency > low_end) & (frequency < high_end)
+    level = MEAN_TO_MEDIAN * np.median(power[high] / shape[high], axis=0)
     noise = level * shape
-    # Six times the noise is what noise alone hardly ever reaches.
-    motion = np.where(power > 6.0 * noise, power - noise, 0.0)
+    motion = np.where(power > ABOVE_NOISE * noise, power - noise, 0.0)
     motion[_valley(frequency, power, motion) :] = 0.0
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     total = max(float(np.sum(motion)), 1e-99)
@@ -139,7 +166,7 @@ def _valley(frequency: Array, power: Array, motion: Array) -> int:
     speed = np.sum(motion, axis=1) / frequency**2
     # On a logarithmic scale of evenly spaced frequencies the square root is half way.
     start = int(np.argmax(speed[: math.isqrt(len(speed))]))
-    end = max(start + 1, int(0.9 * len(power)))
+    end = max(start + 1, int(SEARCHED_SHARE * len(power)))
     # Averaged over a band around each frequency, as wide as a quarter of the frequency.
     index = np.arange(start, end)
     width = np.maximum(1, index // 4)
@@ -163,7 +190,7 @@ def _second_difference_spectrum(q: Array, length: int) -> Array:
     """
     angle = 2.0 * np.pi / length * np.arange(length)
     cosines = np.cos(np.outer(angle, range(4)))
-    window = cosines @ (0.35875, -0.48829, 0.14128, -0.01168)
+    window = cosines @ BLACKMAN_HARRIS
     # Successive segments overlap by three quarters.
     segments = sliding_window_view(np.diff(q, 2, axis=0), length, axis=0)
     powers = []

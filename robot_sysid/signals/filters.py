@@ -57,6 +57,17 @@ class LowPass:
         )
 
 
+LOWEST_CUTOFF = 1e-3
+"""Lowest cut-off [Hz]: no log that is filtered in one piece is long enough for a lower one."""
+HIGHEST_CUTOFF = 0.3
+"""Highest cut-off over the sample rate: the stop band of a higher one would begin above Nyquist."""
+ATTENUATION = 90.0
+"""Attenuation of the stop band [dB]: 80, or a gain below 1e-4, and 10 that make up for the design
+formulas being approximate for short kernels."""
+TRANSITION = 1.2
+"""Width of the transition over the cut-off: from 0.4 to 1.6 times the cut-off."""
+
+
 def design_low_pass(cutoff: float, rate: float) -> LowPass:
     """Return the low-pass with a cut-off [Hz] at a sample rate [Hz].
 
@@ -70,23 +81,18 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     Raises:
         InputError: the cut-off is too high for the rate, or its kernel longer than any log.
     """
-    # No log that is filtered in one piece is long enough for a lower one; the stop band of a
-    # higher one would begin above Nyquist.
-    lowest = 1e-3
-    highest = 0.3 * rate
-    if not lowest <= cutoff <= highest:
+    highest = HIGHEST_CUTOFF * rate
+    if not LOWEST_CUTOFF <= cutoff <= highest:
         raise InputError(
             f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; choose a cut-off between "
-            f"{lowest:g} and {highest:g} Hz"
+            f"{LOWEST_CUTOFF:g} and {highest:g} Hz"
         )
     # Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3).
-    # The gain is within 1e-4 of one below 0.4 times the cut-off and below 1e-4 above 1.6 times.
-    # That is 80 dB; the other 10 make up for the formulas being approximate for short kernels.
-    attenuation = 90.0
-    band = 4.0 * math.pi * 1.2 * cutoff / rate
-    half = math.ceil((attenuation - 8.0) / (2.285 * band))
+    # The gain is within 1e-4 of one below the transition, and below 1e-4 above it.
+    band = 4.0 * math.pi * TRANSITION * cutoff / rate
+    half = math.ceil((ATTENUATION - 8.0) / (2.285 * band))
     ideal = np.sinc(2.0 * cutoff / rate * np.arange(-half, half + 1))
-    kernel = ideal * np.kaiser(2 * half + 1, 0.1102 * (attenuation - 8.7))
+    kernel = ideal * np.kaiser(2 * half + 1, 0.1102 * (ATTENUATION - 8.7))
     step = max(1, int(rate / (2.0 * cutoff)))
     return LowPass(cutoff, rate, kernel / np.sum(kernel), step)
 

@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 from robot_sysid.records import Array
 
+FAILURE_TIME = 0.2
+"""Time for which a channel that failed repeats one value [s]."""
+CLEAR_JUMP = 3.0
+"""Ratio of a jump to the steps around it above which the position was not measured before it."""
+
 
 class Stretch(NamedTuple):
     """A stretch of time with a fault: begin and end [s], joints that show it, and its check."""
@@ -28,12 +33,12 @@ def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:
 
 
 def equal_runs(time: Array, values: Array) -> Iterator[slice]:
-    """Yield the rows of each run of equal values (N,) that lasts as long as a failure, 0.2 s.
+    """Yield the rows of each run of equal values (N,) that lasts as long as a failure.
 
     A run of fewer than four samples may be chance.
     """
     for steps in true_runs(np.diff(values) == 0.0):
-        is_long = time[steps.stop] - time[steps.start] >= 0.2
+        is_long = time[steps.stop] - time[steps.start] >= FAILURE_TIME
         if is_long and steps.stop - steps.start > 2:
             yield slice(steps.start, steps.stop + 1)
 
@@ -51,5 +56,5 @@ def frozen_positions(time: Array, q: Array) -> Iterator[slice]:
     for run in equal_runs(time, q):
         before = steps[max(run.start - near, 0) : run.start]
         jump, *after = steps[run.stop - 1 : run.stop + near].tolist() or [0.0]
-        if jump > 3.0 * max([usual, *before, *after]):
+        if jump > CLEAR_JUMP * max([usual, *before, *after]):
             yield run

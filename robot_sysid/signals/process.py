@@ -51,6 +51,29 @@ TURN_TRAVELS = (1e-3, 3e-3)
 around the other: teeth and balls bend before they slide. Gears of real arms take about 1 mrad, and
 after three times as much 5 % of the change are left. A zone of 3 mrad makes the rotors of long logs
 right; at every joint it makes the file of a TX40 worse, whose short log has no rows to spare."""
+NOISELESS = 1e-3
+"""Share of noise in the acceleration below which positions are differentiated as they are."""
+LONGEST_HOLE = 5.5
+"""Sampling periods of the longest hole that a spline bridges, one of four lost samples: noise of
+the samples around it is at most three times the usual noise in a row over them, and grows with the
+square of their number."""
+BLOW_REACH = 0.25
+"""Periods of the cut-off within which a blow reaches rows."""
+DEADBAND_SHARE = 0.005
+"""Share of its peak speed below which a joint has hardly left stiction."""
+LEAST_DEADBAND = 1e-3
+"""Speed as which encoder noise alone can look [rad/s]."""
+NOTED_LOSS = 0.05
+"""Share of rows beside lost samples from which on the user is told."""
+NOTED_SLOWNESS = 0.5
+"""Share of a joint's rows in use below which the user is told."""
+NORMAL_MEDIAN = 0.6745
+"""Median of the size of a standard normal number."""
+CLEAR_DEVIATIONS = 6.0
+"""Deviations by which readings do not differ by chance; if they are rounded, that is between one
+step and two."""
+CLEAR_STEP = 0.1
+"""Share of a joint's largest step from which on it moves fast before an abrupt stop."""
 PINION = 0.05
 """Usual radius of the pinion that moves a slide [m]; screws turn round within less travel."""
 
@@ -267,7 +290,7 @@ def low_pass_uniform(
     rate = 1.0 / sampling_period(uniform.time)
     low_pass = design_low_pass(choice.cutoff, rate)
     # Positions with so little noise are differentiated as they are.
-    kernel = np.ones(1) if choice.noise_share < 1e-3 else low_pass.kernel
+    kernel = np.ones(1) if choice.noise_share < NOISELESS else low_pass.kernel
     position_filter = replace(low_pass, step=1, kernel=kernel)
     # Samples that positions and their derivatives lose at each end; torques lose more.
     lost = position_filter.half_width + REACH
@@ -280,20 +303,16 @@ def low_pass_uniform(
     inner = slice(lost, len(uniform) - lost)
     q = position_filter.decimate(uniform.q)
     qd, qdd = derivatives(q, rate)
-    # The longest hole that a spline bridges is one of four lost samples, and one period of the
-    # cut-off: noise of the samples around it is at most three times the usual noise in a row over
-    # them, and grows with the square of their number.
-    longest_hole = min(5.5 / rate, 1.0 / choice.cutoff)
+    # It is at most one period of the cut-off.
+    longest_hole = min(LONGEST_HOLE / rate, 1.0 / choice.cutoff)
     assert uniform.hole is not None
     hole_share = position_filter.weight_shares(uniform.hole > longest_hole)
-    # A blow reaches the rows within a quarter of a period of the cut-off.
-    reach = np.ones(2 * round(0.25 * rate / choice.cutoff) + 1)
+    reach = np.ones(2 * round(BLOW_REACH * rate / choice.cutoff) + 1)
     stops = abrupt_stops(uniform.time, uniform.q)
     stops = np.convolve(stops, reach, "same")[: len(stops)] > 0.0
     stop_share = position_filter.weight_shares(stops)
     radius = np.where(robot.is_slide, PINION, 1.0)
-    # Below this share of its peak speed a joint has hardly left stiction.
-    deadband = 0.005 * np.max(np.abs(qd), axis=0)
+    deadband = DEADBAND_SHARE * np.max(np.abs(qd), axis=0)
     filtered = FilteredRecording(
         time=uniform.time[inner],
         q=q[REACH:-REACH],
@@ -302,7 +321,7 @@ def low_pass_uniform(
         tau=uniform.tau[inner],
         bridged=(hole_share + stop_share)[REACH:-REACH] > LARGEST_SLOW_SHARE,
         from_turn=travel_from_turns(uniform.q[inner], q[REACH:-REACH], qd) / radius,
-        deadband=np.maximum(deadband, 1e-3),  # encoder noise alone can look so fast
+        deadband=np.maximum(deadband, LEAST_DEADBAND),
         low_pass=low_pass,
         name=uniform.name,
         is_loaded=uniform.is_loaded,
@@ -331,11 +350,11 @@ def _notes(
             f"{percent(missing)} of the rows lie next to lost samples (gaps of more than "
             f"{1e3 * longest_hole:.3g} ms) or what is left out, and are not used"
         )
-        yield note if missing > 0.05 else Detail(note)
+        yield note if missing > NOTED_LOSS else Detail(note)
     usable = np.count_nonzero(filtered.is_moving, axis=0)
     shares = usable / max(np.count_nonzero(filtered.is_complete), 1)
     for joint, name in enumerate(robot.joint_names):
-        if shares[joint] < 0.5:
+        if shares[joint] < NOTED_SLOWNESS:
             unit = position_unit(robot.is_slide[joint])
             yield (
                 f"only {percent(shares[joint])} of the rows of joint {name} are used: in the "
@@ -364,9 +383,8 @@ def travel_from_turns(readings: Array, q: Array, qd: Array) -> Array:
         turn [rad]; infinite where it does not turn round.
     """
     travel = np.full(qd.shape, np.inf)
-    # The median of the size of a standard normal number is 0.6745. Readings that differ by six
-    # deviations do not differ by chance; if they are rounded, that is between one step and two.
-    clear = 6.0 * np.median(np.abs(readings - q), axis=0) / 0.6745
+    sizes = np.median(np.abs(readings - q), axis=0)
+    clear = CLEAR_DEVIATIONS * sizes / NORMAL_MEDIAN
     for reading, speed, own in zip(readings.T, qd.T, travel.T):
         # Around each turn, the samples from the turn before it to the turn after it.
         turns = np.flatnonzero(np.diff(np.sign(speed))) + 1
@@ -395,7 +413,7 @@ def abrupt_stops(time: Array, readings: Array) -> Mask:
     is_stop = np.zeros(len(readings), dtype=bool)
     for reading in readings.T:
         steps = np.abs(np.diff(reading))
-        least = 0.1 * np.max(steps)
+        least = CLEAR_STEP * np.max(steps)
         for run in equal_runs(time, reading):
             # A slow joint of a coarse encoder has steps of one count between such of none.
             before = steps[max(run.start - 3, 0) : run.start]

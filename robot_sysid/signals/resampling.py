@@ -21,6 +21,31 @@ sample; a late sample comes up to 1.7 periods after an early one (tests/signals/
 """
 
 
+MOST_TIME = 600.0
+"""Time of a log that is used at most [s]: half a minute holds nearly as much information about the
+link as an hour (docs/logs.md)."""
+PIECE_LENGTH = 60.0
+"""Length of the pieces that a longer log is cut to [s]."""
+LONGEST_GAP = 0.5
+GAP_SAMPLES = 20.0
+"""Gap at which a log is split [s], or in samples where these are rarer: splines bridge shorter
+ones."""
+CLOCK_TOLERANCE = 0.01
+"""Share of the sampling period by which most clocks deviate."""
+TICKS = 1e-6, 1e-5, 1e-4, 1e-3
+"""Last digits of time stamps that are looked for [s]; stamps of more digits are exact."""
+TICK_ERROR = 1e-3
+"""Share of a tick by which a stamp with that last digit deviates in floating point."""
+TICK_TOLERANCE = 1.01
+"""Ticks by which rounded time stamps differ from even ones at most, with a margin for rounding."""
+ROUNDING = 1e-6
+"""Samples by which rounding may put the last one beyond the end."""
+ON_STAMP = 1e-3
+"""Share of the sampling period within which an instant is at a time stamp."""
+MOVING = 0.1
+"""Share of a joint's largest range in any piece from which on it moves in a piece."""
+
+
 def resample_uniformly(recording: Recording) -> Recording:
     """Return a recording on a uniform grid, or raise InputError where it has too few samples.
 
@@ -70,12 +95,11 @@ def is_even(time: Array) -> bool:
     The last digit counts from milliseconds to microseconds; stamps of more digits are exact.
     """
     even = np.linspace(time[0], time[-1], len(time))
-    # Most clocks deviate by a hundredth of the sampling period.
-    tolerance = 0.01 * (even[1] - even[0])
-    for unit in (1e-6, 1e-5, 1e-4, 1e-3):
+    tolerance = CLOCK_TOLERANCE * (even[1] - even[0])
+    for unit in TICKS:
         ticks = (time - time[0]) / unit
-        if np.all(np.abs(ticks - np.round(ticks)) < 1e-3):
-            tolerance = max(tolerance, 1.01 * unit)
+        if np.all(np.abs(ticks - np.round(ticks)) < TICK_ERROR):
+            tolerance = max(tolerance, TICK_TOLERANCE * unit)
     return bool(np.max(np.abs(time - even)) <= tolerance)
 
 
@@ -92,7 +116,7 @@ def _interpolate(recording: Recording, rate: float) -> tuple[Array, Array, Array
     start = max(time[0], stamps[0].max())
     end = min(time[-1], stamps[-1].min())
     # A last sample that rounding puts just beyond the end is still on the grid.
-    count = math.floor((end - start) * rate + 1e-6) + 1
+    count = math.floor((end - start) * rate + ROUNDING) + 1
     grid = np.minimum(start + np.arange(count) / rate, end)
     signals = []
     for its_time, *samples in zip(stamps.T, recording.q.T, recording.tau.T):
@@ -107,7 +131,7 @@ def bridged_hole(time: Array, grid: Array, rate: float) -> Array:
     """Return (K,) the length of the hole between the time stamps (N,) of a log that each instant of
     a grid (K,) at a rate [Hz] lies in [s]; zero outside holes and next to a time stamp.
     """
-    margin = 1e-3 / rate
+    margin = ON_STAMP / rate
     # Next to a time stamp these are two steps of time, elsewhere one.
     ends = np.searchsorted(time, (grid - margin, grid + margin))
     steps = np.diff(time)[np.clip(ends, 1, len(time) - 1) - 1]
@@ -124,14 +148,11 @@ def split_at_gaps(samples: Recording) -> tuple[Recording, ...]:
     out.
 
     A log longer than 10 minutes is cut to pieces of about one; of those in which a joint moves, as
-    many as fit into 10 minutes are returned, spread evenly: half a minute holds nearly as much
-    information about the link as an hour (docs/logs.md). Pieces are views. A log that is not cut is
-    its only piece, and so is one whose pieces are all too short.
+    many as fit into 10 minutes are returned, spread evenly. Pieces are views. A log that is not cut
+    is its only piece, and so is one whose pieces are all too short.
     """
-    most_time = 600.0
     step = np.diff(samples.time)
-    # A log of a low sample rate is split where as many as 20 samples are missing.
-    longest_step = max(0.5, 20.0 * np.median(step))
+    longest_step = max(LONGEST_GAP, GAP_SAMPLES * np.median(step))
     cuts = np.flatnonzero(step > longest_step) + 1
     pieces = []
     edges = [0, *cuts.tolist(), len(samples)]
@@ -139,9 +160,9 @@ def split_at_gaps(samples: Recording) -> tuple[Recording, ...]:
         piece = samples[first:last]
         if piece.duration >= SHORTEST_PIECE:
             pieces.append(piece)
-    if samples.duration > most_time:
-        pieces = [*cut_pieces(pieces, 60.0)]
-    return tuple(select_pieces(pieces, most_time)) or (samples,)
+    if samples.duration > MOST_TIME:
+        pieces = [*cut_pieces(pieces, PIECE_LENGTH)]
+    return tuple(select_pieces(pieces, MOST_TIME)) or (samples,)
 
 
 def duration(pieces: Iterable[Recording]) -> float:
@@ -177,8 +198,7 @@ def select_pieces(pieces: list[Recording], most_time: float) -> list[Recording]:
         return pieces
     ranges = np.array([np.ptp(piece.q, axis=0) for piece in pieces])
     moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
-    # A joint moves in a piece where its range exceeds a tenth of its largest one in any piece.
-    moving = [pieces[k] for k in np.flatnonzero(moved > 0.1)] or pieces
+    moving = [pieces[k] for k in np.flatnonzero(moved > MOVING)] or pieces
     count = int(len(moving) * min(1.0, most_time / duration(moving)))
     numbers = np.linspace(0, len(moving) - 1, max(1, count)).round().astype(int)
     return [moving[number] for number in numbers]

@@ -25,7 +25,7 @@ from rigs.refusals import refused
 RUBBISH = (9, 20, 31, 42, 53)
 
 
-def spoiled(spoil):
+def rows_with(spoil):
     """A fault that makes some rows no rows of numbers."""
     return lambda rows: [
         spoil(row) if k in RUBBISH else row for k, row in enumerate(rows.tolist())
@@ -54,11 +54,11 @@ Q = np.s_[:, 1:4]
 # Each fault changes the table and is an error that says the fragments.
 ERRORS: dict[str, tuple[Callable, str]] = {
     "text cells": (
-        spoiled(lambda row: [*row[:2], "oops", *row[3:]]),
+        rows_with(lambda row: [*row[:2], "oops", *row[3:]]),
         "5 of 400 rows.*1 %.*line 11, column 'q2': 'oops' is not a number",
     ),
     "short rows": (
-        spoiled(lambda row: row[:5]),
+        rows_with(lambda row: row[:5]),
         "5 of 400 rows.*line 11: 5 cells instead of 7",
     ),
     "absurd cells": (

@@ -28,7 +28,7 @@ from rigs.log_files import (
 from rigs.model_files import LFS_POINTER, write_files
 from rigs.refusals import refused
 from robot_sysid.errors import InputError
-from robot_sysid.logs import LogOptions, arrays, documents, reader
+from robot_sysid.logs import LogOptions, arrays, documents, reader, ros_bag
 from robot_sysid.records.messages import Progress
 
 DATA = motion(60)
@@ -71,7 +71,7 @@ BAG_TYPES = "rosbags.typesys.get_typestore"
 PARQUET_FILE = "pyarrow.parquet.ParquetFile"
 STACK = "numpy.column_stack"
 FILES_AND_CALLS = {
-    reader.bag_table: ("ROS 1 bag", BAG_TYPES, BAG_TYPES),
+    ros_bag.bag_table: ("ROS 1 bag", BAG_TYPES, BAG_TYPES),
     arrays.matlab_table: ("MATLAB", "scipy.io.loadmat", STACK),
     arrays.hdf5_table: ("HDF5", "h5py.File", STACK),
     arrays.npz_table: ("npz", "numpy.load", STACK),
@@ -88,7 +88,7 @@ calls as the log is opened, and as its blocks are read."""
 
 
 def test_every_form_is_tested():
-    forms = (*reader._FILES.values(), *reader._FOLDERS.values())
+    forms = (*reader.FILES.values(), *reader.FOLDERS.values())
     assert {read for _, read in forms} == set(FILES_AND_CALLS)
 
 

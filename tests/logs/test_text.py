@@ -23,8 +23,7 @@ from rigs.log_files import (
 )
 from rigs.refusals import refused
 from robot_sysid.errors import InputError
-from robot_sysid.logs import text
-from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.logs.text import plain_table, read_dialect, write_measurement_csv
 from robot_sysid.records import Recording
 
 DATA = replace(motion(50), qd=None)
@@ -63,7 +62,7 @@ def test_a_written_log_reads_back_to_the_last_bit(tmp_path, names, optional, cut
 
 
 @pytest.mark.parametrize("size", [1, 700, 40_000])
-def test_the_size_of_the_chunks_changes_nothing(tmp_path, monkeypatch, size):
+def test_the_size_of_the_chunks_changes_nothing(tmp_path, size):
     cells = table(motion())
     cells[:, 1] = np.angle(np.exp(1j * (cells[:, 1] * 4.0)))
     cells[[17, 203], 4] = np.nan
@@ -72,8 +71,8 @@ def test_the_size_of_the_chunks_changes_nothing(tmp_path, monkeypatch, size):
     expected = read_measurements(path, JOINTS)
     notes = " ".join(expected.notes)
     assert "line 401" in notes and "empty" in notes
-    monkeypatch.setattr(text, "CHUNK", size)
-    log = read_measurements(path, JOINTS)
+    dialect = replace(read_dialect(path), chunk_size=size)
+    log = read_measurements(plain_table(dialect), JOINTS)
     assert_samples(expected, log)
     assert expected.notes == log.notes
 

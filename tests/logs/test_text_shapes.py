@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,8 @@ from rigs.log_files import (
     table,
     write,
 )
+from robot_sysid.logs.documents import dialect_table
+from robot_sysid.logs.text import read_dialect
 
 DATA = motion(60)
 ORDER = [2, 0, 1]
@@ -51,12 +55,10 @@ def plain(array: np.ndarray) -> str:
     ],
 )
 @pytest.mark.parametrize("size", [40, 1_000_000])
-def test_a_list_in_a_cell_is_a_column_each(
-    tmp_path, monkeypatch, text_of, separator, size
-):
-    monkeypatch.setattr("robot_sysid.logs.text.CHUNK", size)
+def test_a_list_in_a_cell_is_a_column_each(tmp_path, text_of, separator, size):
     path = write_lists(tmp_path, text_of, separator)
-    assert_read(path, DATA, ("time", "q", "tau"), atol=1e-14)
+    dialect = replace(read_dialect(path), chunk_size=size)
+    assert_read(dialect_table(dialect, JOINTS), DATA, ("time", "q", "tau"), atol=1e-14)
 
 
 def test_lists_of_other_lengths_are_left_out_or_refused(tmp_path):
