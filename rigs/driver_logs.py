@@ -105,7 +105,7 @@ def with_extra_joints(data: Recording, count: int, position: float) -> Recording
     return Recording(data.time, q, qd, tau)
 
 
-def _numbered(name: str, count: int = 7) -> list[str]:
+def _numbered_names(name: str, count: int = 7) -> list[str]:
     """Return a name with the numbers from 1 on."""
     return [f"{name}{k}" for k in range(1, count + 1)]
 
@@ -119,8 +119,8 @@ def franka(
     the fingers; joint_state_publisher puts both together in /joint_states, at 30 Hz, or at a rate
     that is set where it is the only one.
     """
-    joints = _numbered(f"{arm}_joint")
-    fingers = _numbered(f"{arm}_finger_joint", 2)
+    joints = _numbered_names(f"{arm}_joint")
+    fingers = _numbered_names(f"{arm}_finger_joint", 2)
     both = with_extra_joints(data[::33] if len(topic_names) > 1 else data, 2, 0.035)
     contents = {
         "/franka/joint_states": states(data, joints),
@@ -173,7 +173,7 @@ def xarm(folder: Path, data: Recording) -> Path:
 @later_of_types
 def xarm_states(types: Any, data: Recording):
     """Return JointState messages of the arm, and those of the gripper between them."""
-    arm = states(data, _numbered("joint"))(types)
+    arm = states(data, _numbered_names("joint"))(types)
     names = ["drive_joint", "left_finger_joint", "left_inner_knuckle_joint"]
     names += ["right_outer_knuckle_joint", "right_finger_joint"]
     names += ["right_inner_knuckle_joint"]
@@ -190,7 +190,7 @@ def lbr(
 ) -> Path:
     """A bag of lbr_fri_ros2_stack: 100 Hz, joints lbr_A1 .. lbr_A7; LBRState has no names."""
     contents = {
-        "/lbr/joint_states": (STATE, states(data, _numbered("lbr_A"))),
+        "/lbr/joint_states": (STATE, states(data, _numbered_names("lbr_A"))),
         "/lbr/state": (LBR, lbr_states(data)),
     }
     topics = [(name, *contents[name]) for name in topic_names]
@@ -218,7 +218,10 @@ def kortex(folder: Path, data: Recording, topic_names: Sequence[str]) -> Path:
     wrapped = replace(data, q=(data.q + np.pi) % (2.0 * np.pi) - np.pi)
     both = with_extra_joints(wrapped, 1, 0.4)
     contents = {
-        "joint_states": (STATE, states(both, [*_numbered("joint_"), "finger_joint"])),
+        "joint_states": (
+            STATE,
+            states(both, [*_numbered_names("joint_"), "finger_joint"]),
+        ),
         "base_feedback": (KORTEX, kortex_feedback(data)),
     }
     topics = [(f"/my_gen3/{name}", *contents[name]) for name in topic_names]
@@ -246,7 +249,7 @@ def piper(folder: Path, data: Recording) -> Path:
     degrees = np.round(np.degrees(data.q), 3)
     both = with_extra_joints(replace(data, q=0.017444 * degrees), 1, 0.05)
     zero = np.zeros_like(both.q)
-    names = [*_numbered("joint", 6), "gripper"]
+    names = [*_numbered_names("joint", 6), "gripper"]
     measured = states(both, names, ..., 6)
     topics = [
         ("/joint_states_single", STATE, measured),
@@ -261,7 +264,7 @@ def openarm_bag(folder: Path, data: Recording) -> Path:
     data = with_extra_joints(data, 9, 0.02)
     names = []
     for side in ("left", "right"):
-        names += _numbered(f"openarm_{side}_joint")
+        names += _numbered_names(f"openarm_{side}_joint")
         names.append(f"openarm_{side}_finger_joint1")
     topics = [("/joint_states", STATE, states(data, names))]
     return write_bag(folder / "openarm", topics, "MCAP")

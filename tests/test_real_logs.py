@@ -32,7 +32,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def identified(folder, model, log, *options):
+def run_identify(folder, model, log, *options):
     """(exit code, params.json) of one run."""
     arguments = ("identify", model, log, "--output-dir", folder, *options)
     code = main(list(map(str, arguments)))
@@ -42,7 +42,7 @@ def identified(folder, model, log, *options):
 def kuka(folder, tested, *options):
     logs = [KUKA / f"lwr4_hw{run}_200Hz.csv" for run in (1, tested)]
     more = ("--validation-measurements", logs[1], *options)
-    return identified(folder, KUKA / "kuka_lwr4.urdf", logs[0], *more)
+    return run_identify(folder, KUKA / "kuka_lwr4.urdf", logs[0], *more)
 
 
 def torque_errors(params):
@@ -92,7 +92,7 @@ def test_tx40s_rotor_inertia_is_seen(tmp_path):
     results = []
     for terms in ("coulomb-viscous-offset-armature", "coulomb-viscous-offset"):
         options = ("--friction-model", terms, *exact)
-        results.append(identified(tmp_path / terms, model, log, *options)[1])
+        results.append(run_identify(tmp_path / terms, model, log, *options)[1])
         assert results[-1]["valid"]["physically_consistent"]
     with_it, without = results
     assert with_it["rmse"] < 0.5 * without["rmse"]
@@ -125,7 +125,9 @@ def tx40(tmp_path_factory):
     for name, begin, end in (("first", 0.0, 6.128), ("last", 6.128, 7.66)):
         part = [row for row, t in zip(rows, time) if begin <= t < end]
         (folder / f"{name}.csv").write_text("\n".join([head, *part]))
-    assert identified(folder / "out", TX40 / "tx40.urdf", folder / "first.csv")[0] == 0
+    assert (
+        run_identify(folder / "out", TX40 / "tx40.urdf", folder / "first.csv")[0] == 0
+    )
     return folder
 
 
@@ -147,7 +149,7 @@ def test_tx40s_shared_motor_is_in_its_file(tx40):
 @pytest.mark.parametrize("run", [1, 2, 3])
 def test_where_sensors_sit_behind_the_gears_no_motor_is_found(tmp_path, run):
     log = KUKA / f"lwr4_hw{run}_200Hz.csv"
-    assert motors(identified(tmp_path, KUKA / "kuka_lwr4.urdf", log)[1]) == []
+    assert motors(run_identify(tmp_path, KUKA / "kuka_lwr4.urdf", log)[1]) == []
 
 
 @pytest.mark.slow
@@ -155,7 +157,7 @@ def test_tx40s_motor_is_found_again_in_its_file(tx40, tmp_path):
     """It is the model's then: nothing is found beside it, and no file is better."""
     model = tx40 / "out" / "updated_model.xml"
     log = tx40 / "first.csv"
-    code, params = identified(tmp_path, model, log)
+    code, params = run_identify(tmp_path, model, log)
     assert max(relative_errors(params["file"])) < 0.06
     assert motors(params) == ["joint_5+joint_6"]
     assert not any("a motor turns" in remark["text"] for remark in params["remarks"])
@@ -165,7 +167,7 @@ def test_tx40s_motor_is_found_again_in_its_file(tx40, tmp_path):
 def test_tx40s_file_is_better_on_held_out_stretches_and_its_flange_weighs_nothing(
     tmp_path,
 ):
-    code, params = identified(tmp_path, TX40 / "tx40.urdf", TX40 / "tx40_500Hz.csv")
+    code, params = run_identify(tmp_path, TX40 / "tx40.urdf", TX40 / "tx40_500Hz.csv")
     old_error, new_error = relative_errors(params["file"])
     assert code == 0 and new_error < 0.2 * old_error
     assert (tmp_path / "updated_model.urdf").exists()
@@ -244,7 +246,7 @@ def test_airbots_files_of_positions_and_torques_are_read_and_weigh_its_load(tmp_
     # Torques of the loaded log alone rise by 6 % over its half minute, which is doubted.
     for run, code in (("empty", 0), ("loaded", 1)):
         assert main(["log", *airbot(run), str(model), *options]) == code
-    code, params = identified(tmp_path, model, *airbot("empty"), *options)
+    code, params = run_identify(tmp_path, model, *airbot("empty"), *options)
     old_error, new_error = relative_errors(params["file"])
     assert code == 0 and new_error < 0.4 * old_error
     arguments = ["--empty", *airbot("empty"), "--loaded", *airbot("loaded"), *options]
@@ -291,7 +293,7 @@ def test_the_last_link_is_within_its_error_whatever_the_wrists_of_the_model_are(
 ):
     """The free last link takes up what they have wrong, and no held-out torque shows it."""
     model = with_links(tmp_path, links, **factors)
-    code, params = identified(tmp_path / "out", model, UR10E / "empty_100Hz.csv")
+    code, params = run_identify(tmp_path / "out", model, UR10E / "empty_100Hz.csv")
     mass = rows(params)["wrist_3_link", "mass"]
     # With half of the distances it is 2.12 errors off, the farthest of all.
     assert code == 0 and abs(mass["value"] - WRIST_3) < 2.15 * mass["error"]

@@ -24,13 +24,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table, fields
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.states import list_in_cell, named_rows, states_table
+from robot_sysid.logs.states import named_rows, states_table
 from robot_sysid.logs.table import LogTable, import_optional
 from robot_sysid.logs.text import (
     Dialect,
     is_names,
     is_number,
     is_row,
+    list_in_cell,
     parse_cell,
     plain_table,
     read_dialect,

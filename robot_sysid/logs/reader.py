@@ -71,7 +71,8 @@ def open_logs(
             source = open_table(Path(source), robot.joint_names, options)
         opened.append(source)
     choices = stated_choices(options, robot.joint_names)
-    if not any(isinstance(source, Recording) for source in opened):
+    is_read = any(isinstance(source, Recording) for source in opened)
+    if len(opened) > 1 and not is_read:
         opened = join_halves(opened, robot, choices)
     logs = []
     for source in opened:

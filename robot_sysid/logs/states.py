@@ -7,7 +7,6 @@ list of as many names, as in ROS's JointState, have a column per name: elbow/pos
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.table import ROWS, LogTable, make_table, nested_name, part_titles
-from robot_sysid.logs.text import is_names, parse_cell
+from robot_sysid.logs.text import is_names, list_in_cell, parse_cell
 
 _SECONDS = frozenset({"sec", "secs", "seconds"})
 _NANOSECONDS = frozenset({"nanosec", "nsec", "nsecs", "nanos"})
@@ -91,17 +90,6 @@ def named_rows(
     for cells in rows:
         is_whole = len(cells) == len(names)
         yield dict(zip(names, map(list_in_cell, cells))) if is_whole else None
-
-
-def list_in_cell(cell: Any) -> Any:
-    """Return the texts in a cell that holds a list, such as "[0.1, 0.2]" or "[0.1 0.2]"; any other
-    cell as it is.
-    """
-    if not (isinstance(cell, str) and cell.startswith(("[", "("))):
-        return cell
-    # A text of NumPy's numbers is "[np.float64(0.1), ...]".
-    plain = re.sub(r"[\w.]+\(", "", cell)
-    return re.findall(r"[^\s,;\[\]()'\"]+", plain)
 
 
 def states_table(

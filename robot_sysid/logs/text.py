@@ -219,6 +219,17 @@ def parse_cell(cell: str, start: str = "") -> float:
     return float(cell.replace(",", "."))
 
 
+def list_in_cell(cell: Any) -> Any:
+    """Return the texts in a cell that holds a list, such as "[0.1, 0.2]" or "[0.1 0.2]"; any other
+    cell as it is.
+    """
+    if not (isinstance(cell, str) and cell.startswith(("[", "("))):
+        return cell
+    # A text of NumPy's numbers is "[np.float64(0.1), ...]".
+    plain = re.sub(r"[\w.]+\(", "", cell)
+    return re.findall(r"[^\s,;\[\]()'\"]+", plain)
+
+
 def is_number(value: Any) -> bool:
     """Return whether a value is a number, a date, or a text of one or of an empty cell."""
     if isinstance(value, str):

@@ -48,6 +48,21 @@ def test_columns_do_not_depend_on_the_blocks_that_they_are_made_in():
     assert_close(columns, expected, atol=1e-12)
 
 
+def test_columns_are_kept_for_the_samples_that_they_are_made_of():
+    """Rows that are chosen change nothing in them; other samples have columns of their own."""
+    signals = filtered(Swing().measurement(seconds(12.0, 100.0)), cutoff=8.0)
+    made = signals.kept.get("speed", lambda: signals.filter_columns(lambda m: m.qd))
+    chosen = signals.only(np.zeros(len(signals), dtype=bool))
+    assert not np.any(chosen.used)
+    assert chosen.kept.get("speed", lambda: 0.0 * made) is made
+    assert_array_equal(chosen.with_all_rows(name="again").used, signals.used)
+    faster = signals.using(signals.used, qd=2.0 * signals.qd)
+    again = faster.kept.get("speed", lambda: faster.filter_columns(lambda m: m.qd))
+    assert_close(again, 2.0 * made, atol=1e-12)
+    told = signals.using(signals.used, {"speed": 2.0 * made}, qd=2.0 * signals.qd)
+    assert_array_equal(told.kept.get("speed", lambda: made), 2.0 * made)
+
+
 def low_pass_with_deadband(log, deadband):
     """Return the signals of a log, low-passed at 8 Hz, with a deadband of all joints [rad/s]."""
     signals = filtered(log, cutoff=8.0)
