@@ -8,7 +8,7 @@ half a step before the positions, which makes it second order, without a delay o
 a servo is at its limit. ``mujoco.rollout`` does the steps on all processors where the installed
 release has it with several models at a time; older ones step in Python.
 
-Played are the torques of a log, or the commands of an arm behind position servos, whose torque is
+Played are the commands of an arm behind position servos, whose torque is
 
     tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
 
@@ -224,12 +224,6 @@ class Rollouts:
         As in a compiled file, dry friction is as firm as these rotor inertias make it.
         """
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
-
-    def under_torques(self, starts: Array, tau: Array) -> Array:
-        """Return chain positions (W, S + 1, n) under torques tau (W, S, n) [N m], as ``play``."""
-        inputs = np.zeros((*tau.shape[:2], self.model.nu + self.model.nv))
-        inputs[:, :, self.model.nu + self.robot.dof_index] = tau
-        return self.play(starts, inputs)
 
     def play(self, starts: ArrayLike, inputs: Array) -> Array:
         """Return chain positions (W, S + 1, n) in W windows, the start included.
