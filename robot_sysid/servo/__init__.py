@@ -39,14 +39,11 @@ from robot_sysid.results.lines import card_lines, folder_text, use_lines
 from robot_sysid.results.record import DATA, MODEL, ModelTarget, Quantity
 from robot_sysid.results.table import cells, label, table_lines
 from robot_sysid.results.written_model import versions, write_joints
-from robot_sysid.servo.fit import (
-    LINK_ERROR,
-    ServoFit,
-    fit_servos,
-    goal_error,
-    refine_played,
-)
-from robot_sysid.servo.windows import WINDOW, ServoProblem, check_commands, rms
+from robot_sysid.servo.command_check import check_commands
+from robot_sysid.servo.fit import LINK_ERROR, ServoFit, fit_servos
+from robot_sysid.servo.loop import goal_error, rms
+from robot_sysid.servo.played_fit import refine_played
+from robot_sysid.servo.windows import WINDOW, ServoProblem
 from robot_sysid.signals.resampling import split_at_gaps
 from robot_sysid.simulation.playback import (
     ServoRollouts,

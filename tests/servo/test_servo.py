@@ -17,8 +17,10 @@ from robot_sysid.errors import InputError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, Recording
 from robot_sysid.records.data import DataOrigin
+from robot_sysid.servo.command_check import check_commands
 from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.windows import ServoProblem, check_commands, low_pass_motion
+from robot_sysid.servo.loop import low_pass_motion
+from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.simulation.playback import (
     ServoParameters,
     ServoRollouts,
