@@ -128,16 +128,18 @@ def loop_columns(robot: RobotModel, pieces: Sequence[Recording]) -> tuple[Array,
 def solve_not_negative(normal: Array, is_free: NDArray[np.bool_]) -> Array:
     """Return the solution (k,) of products (k + 1, k + 1) in which no value is negative.
 
-    Values that are not ``is_free`` (k,) are zero. As in the one fit, those that cross zero are held
-    there, and not released.
+    Values that are not ``is_free`` (k,) are zero. Those that cross zero are held there and not
+    released, as in the one fit, but one after the other, that which crosses farthest first: held
+    together, some would be that need not, because friction, damping and rotor trade.
     """
+    scale = np.sqrt(np.diag(normal)[:-1])
     zero = np.zeros(len(is_free))
     while np.any(is_free):
         values, _ = solve(normal, zero, is_free)
-        crosses = is_free & (values < 0.0)
-        if not np.any(crosses):
+        farthest = np.argmin(scale * values)
+        if values[farthest] >= 0.0:
             return values
-        is_free = is_free & ~crosses
+        is_free = is_free & (np.arange(len(values)) != farthest)
     return zero
 
 
