@@ -1,8 +1,8 @@
 """Signals of the closed loop: commands, and what is left between them and the positions.
 
-Positions, commands and all columns pass the same short Gaussian, not the low-pass of measured
-torques (``signals``): that one cuts a fifth of a second off both ends and is as slow as the motion
-allows, while a servo answers within a few samples of a log of 50 Hz.
+Positions, commands and all columns pass the same short Gaussian. The low-pass of measured torques
+(``signals``) reaches half a second to both sides at a cut-off of 5 Hz: samples at a servo's torque
+limit and near standstill, which are left out one by one, would be in most rows.
 
 n is the number of joints, M that of samples of all pieces.
 """
@@ -24,9 +24,9 @@ GRID = 0.005
 DELAYS = np.arange(0.0, MAX_DELAY, GRID)
 """Delays that are tried before the best of them is refined [s]."""
 SMOOTHING = 0.022
-"""Standard deviation of the low-pass [s]: a little above one period of a log of 50 Hz."""
+"""Standard deviation of the low-pass [s]: the least of a log of 50 Hz."""
 LEAST_SMOOTHING = 1.1
-"""Least such standard deviation, in sampling periods: the derivatives of a narrower Gaussian are
+"""Least such standard deviation in sampling periods: the derivatives of a narrower Gaussian are
 wrong."""
 CUT_OFF_AT = 7.0
 """Standard deviations at which the Gaussian ends: nearer to the middle, a constant would have a
