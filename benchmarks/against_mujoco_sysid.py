@@ -8,9 +8,8 @@ Run from the checkout, one core is enough, a few minutes:
 Both get the same log of 15 s: positions with encoder steps and held torques with noise, of an arm
 that MuJoCo moved with its own armature, damping and frictionloss. Both seek these 21 numbers from
 the same start, links known. mujoco.sysid simulates the log in pieces of 0.3 s, as its users do (in
-15 s an open loop runs away), and minimises the position error; robot-sysid fits torques, and
-polishes the fit by pieces of 0.3 s. Then another log is simulated with all results, in pieces, each
-from the same measured state.
+15 s an open loop runs away), and minimises the position error; robot-sysid fits torques. Then
+another log is simulated with both results, in pieces, each from the same measured state.
 """
 
 from __future__ import annotations
@@ -23,13 +22,11 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-import robot_sysid as rs
 from benchmarks.arm_results import result_of_logs
 from rigs import arms
-from rigs.core_fits import BASIC, NO_PRIORS, NOISE_ONLY
+from rigs.core_fits import BASIC, NOISE_ONLY
 from rigs.stepped_arm import stepped_log
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.results.record import FILE
 
 STEP = 0.002
 SECONDS = 15.0
@@ -88,17 +85,6 @@ def by_torques(robot, log) -> dict:
     )
     return {
         number: np.array([result.quantity(term, name).value for name in NAMES])
-        for number, term in TERMS.items()
-    }
-
-
-def by_polish(log) -> dict:
-    """Return the joints' numbers in robot-sysid's model file, polished by rollouts."""
-    result = rs.identify(
-        spec_of(), log, polish=True, friction_model=BASIC, priors=NO_PRIORS
-    )
-    return {
-        number: np.array([result.quantity(term, name, FILE).value for name in NAMES])
         for number, term in TERMS.items()
     }
 
@@ -270,7 +256,6 @@ def compare_sides() -> dict[str, Side]:
     sides = {}
     for name, run in (
         ("robot-sysid (inverse dynamics)", lambda: by_torques(robot, log)),
-        ("robot-sysid --polish (both)", lambda: by_polish(log)),
         ("mujoco.sysid (rollouts)", lambda: by_rollouts(log)),
     ):
         start = time.process_time()
@@ -290,7 +275,7 @@ def main() -> None:
             f"{name}: {side.seconds:.2f} s, held-out rollout error {side.error:.2f} mrad"
         )
         print(f"  farthest from the truth: {worst}")
-    ours, _, theirs = sides.values()
+    ours, theirs = sides.values()
     print(f"{theirs.seconds / ours.seconds:.0f} times faster, by processor time")
 
 

@@ -23,8 +23,10 @@ from rigs.places import MODELS
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
-from robot_sysid.servo import HELD_OUT_SHARE, UNITS, run_servo
-from robot_sysid.servo.windows import WINDOW, ServoProblem, rms
+from robot_sysid.servo import HELD_OUT_SHARE, run_servo
+from robot_sysid.servo.loop import rms
+from robot_sysid.servo.result import UNITS
+from robot_sysid.servo.windows import WINDOW, ServoProblem
 from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
 
 ARMS = {

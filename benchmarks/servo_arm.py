@@ -109,6 +109,8 @@ def commands(robot, rng, seconds=40.0, rate=50.0, amplitude=0.5):
             -0.3, 0.3, len(time)
         )
         command[:, joint] += np.clip(np.cumsum(jumps), -0.3, 0.3) * half[joint]
+    # Rollouts have no stops at the ends of a joint's range.
+    command = np.clip(command, -0.8 * half, 0.8 * half)
     fade = np.clip(np.minimum(time, time[-1] - time) / 1.0, 0.0, 1.0)[:, None]
     return time, middle + fade * fade * (3.0 - 2.0 * fade) * command
 

@@ -104,7 +104,7 @@ class Config:
 
     model: ModelOptions = ModelOptions()
     output: OutputOptions = OutputOptions()
-    left_out: ClassVar[tuple[str, ...]] = ("keyframe", "links", "torque_from", "polish")
+    left_out: ClassVar[tuple[str, ...]] = ("keyframe", "links", "torque_from")
 
     @classmethod
     def records(cls) -> dict[str, Any]:
@@ -282,7 +282,6 @@ class PlanConfig(MotionConfig):
         "no_friction",
         "friction_model",
         "keep",
-        "polish",
     )
 
     @property

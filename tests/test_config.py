@@ -69,13 +69,10 @@ REFUSED = {
     "identify a.xml b.csv --torque-from position-error --keep links": (
         "--keep is about measured torques"
     ),
-    "identify a.xml b.csv --torque-from position-error --polish": (
-        "--polish is about measured torques"
-    ),
-    "identify a.xml b.csv --torques terminal --polish": "--polish plays the torques of all joints",
-    f"{PAYLOAD} --polish": "unrecognized arguments: --polish",
-    "plan a.xml --polish": "unrecognized arguments: --polish",
-    "a.xml --polish": "unrecognized arguments: --polish",
+    "identify a.xml b.csv --polish": "unrecognized arguments: --polish",
+    f"{PAYLOAD} --torque-from position-error": "unrecognized arguments: --torque-from",
+    "plan a.xml --torque-from position-error": "unrecognized arguments: --torque-from",
+    "a.xml --torque-from position-error": "unrecognized arguments: --torque-from",
     "payload a.xml": "--empty LOG... is missing",
     "payload a.xml --empty a.csv": "--loaded LOG... is missing",
     f"{PAYLOAD} --known-mass 1 --as-body load": "--known-mass writes no model",

@@ -161,10 +161,6 @@ class EstimationOptions(OptionRecord):
         choices=(FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS),
         repeats=True,
     )
-    polish: bool = option(
-        False,
-        "move the written numbers to open-loop rollouts, where that is better on held-out data",
-    )
     cutoff: float | None = None
 
     def __post_init__(self) -> None:
@@ -188,11 +184,6 @@ class EstimationOptions(OptionRecord):
                     raise InputError(
                         f"{name} and {option_name('no_friction')} exclude each other"
                     )
-        if self.polish and self.torques != "chain":
-            raise InputError(
-                f"{option_name('polish')} plays the torques of all joints; leave out "
-                f"{option_name('torques')}"
-            )
         if self.friction_model is not None:
             friction_terms(str(self.friction_model))
 

@@ -7,14 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, SelfTestConfig
 from robot_sysid.diagnosis.gate import judge, usable
-from robot_sysid.errors import ExportError, InputError
+from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import answer_of, solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import predicted
@@ -74,8 +73,7 @@ def identify_logs(
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test_notes))
     origin = origin_of(logs, options.measurements)
-    mesh_dir = config.model.mesh_dir
-    return _result(fitted, origin, notes, progress, tests, mesh_dir)
+    return _result(fitted, origin, notes, progress, tests)
 
 
 def identify_plant(
@@ -122,11 +120,8 @@ def _result(
     notes: Sequence[str],
     progress: Progress,
     tests: Sequence[Recording] = (),
-    mesh_dir: Path | None = None,
 ) -> Identification:
     """Return the result of a fit: the model file, its errors, and what is drawn.
-
-    The file is polished where the options ask for it and it may be used.
 
     Args:
         fitted: the fit of all terms.
@@ -134,38 +129,18 @@ def _result(
         notes: what reading and judging them had to say, one sentence each.
         progress: receives stages.
         tests: logs that only test the result; they get the cut-off of the others.
-        mesh_dir: the user's mesh folder, if any.
     """
     cutoff = fitted.recordings[0].cutoff
     progress.stage(Detail("Fitting the model file..."))
-    # Rollouts polish the numbers of one file.
-    polishes = fitted.question.options.polish
-    file = fit_file(fitted, may_bend=not polishes)
+    file = fit_file(fitted)
     robot = fitted.arm.robot
     others = []
     for log in tests:
         pieces, _ = low_pass_recordings(robot, split_at_gaps(log), cutoff)
         others.append((pieces, log.name))
     errors = [predicted(fitted, *other) for other in others]
-
-    def result_of(file: Fit, *sentences: str) -> Identification:
-        """Return the result with a fit of the model file."""
-        result = link_result(fitted, file, errors, origin, (*notes, *sentences), others)
-        return with_promise(result, fitted, file)
-
-    result = result_of(file)
-    if not polishes or result.failure:
-        return result
-    from robot_sysid.servo.polish import polish, with_errors_of, written_arm
-
-    progress.stage("Playing the model file under the measured torques...")
-    try:
-        written = written_arm(result, mesh_dir)
-    except ExportError:
-        # Writing the model says why.
-        return result
-    polished = result_of(*polish(fitted, file, written, others))
-    return with_errors_of(polished, result)
+    result = link_result(fitted, file, errors, origin, notes, others)
+    return with_promise(result, fitted, file)
 
 
 def identify_payload(

@@ -162,6 +162,23 @@ LINKS_AS_TILT = 1.0
 LINKS_AS_OFFSET = 0.1
 """Links as a torque that pulls at a joint, over the joint's torque: half of ``WEIGHT``."""
 
+# ---- servos
+
+SERVO_GAIN = 1.5
+"""All gains of an arm's servos together over the model's, and one over the others' where the model
+has none: standard deviation of the logarithm. The model of an SO-101 has gains of 998 N m/rad and
+other models of the same arm 17.8; that is 2.7 of it."""
+SERVO_GAIN_SPREAD = 0.5
+"""Gain of one servo over the model's, beside what all have in common: standard deviation of the
+logarithm. Servos of one arm are of one kind, and set alike."""
+SERVO_BANDWIDTH = 20.0
+"""Frequency of a servo's oscillation without damping where the model has no servo [rad/s]."""
+SERVO_NUMBERS = 1.0
+"""Gain, damping, friction and rotor inertia of a servo that is too fast for the samples, over the
+model's: standard deviation of the logarithms."""
+SERVO_FRICTION = 2.0
+"""Relative error of the dry friction that such a servo hides."""
+
 # ---- what is printed
 
 ERRORS_AS_THEY_ARE = 0.7

@@ -8,7 +8,7 @@ half a step before the positions, which makes it second order, without a delay o
 a servo is at its limit. ``mujoco.rollout`` does the steps on all processors where the installed
 release has it with several models at a time; older ones step in Python.
 
-Played are the torques of a log, or the commands of an arm behind position servos, whose torque is
+Played are the commands of an arm behind position servos, whose torque is
 
     tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
 
@@ -193,8 +193,8 @@ def mean_commands(time: Array, command: Array, edges: Array) -> Array:
     return np.diff(values, axis=0) / np.diff(edges)[:, None]
 
 
-class Rollouts:
-    """Rollouts of an arm, on one copy of its model, which meshes make large.
+class ServoRollouts:
+    """Rollouts of an arm behind servos, on one copy of its model, which meshes make large.
 
     They run on all processors where MuJoCo can play rollouts of several models at a time.
 
@@ -204,6 +204,7 @@ class Rollouts:
     Attributes:
         robot: as given.
         model: the copy, see ``forward_model``.
+        actuators: those of the chain.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -217,19 +218,7 @@ class Rollouts:
             # Zero stands for the calling thread.
             self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
-
-    def set_constants(self) -> None:
-        """Make what MuJoCo computes of a model agree with its changed numbers.
-
-        As in a compiled file, dry friction is as firm as these rotor inertias make it.
-        """
-        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
-
-    def under_torques(self, starts: Array, tau: Array) -> Array:
-        """Return chain positions (W, S + 1, n) under torques tau (W, S, n) [N m], as ``play``."""
-        inputs = np.zeros((*tau.shape[:2], self.model.nu + self.model.nv))
-        inputs[:, :, self.model.nu + self.robot.dof_index] = tau
-        return self.play(starts, inputs)
+        self.actuators = chain_actuators(robot)
 
     def play(self, starts: ArrayLike, inputs: Array) -> Array:
         """Return chain positions (W, S + 1, n) in W windows, the start included.
@@ -279,18 +268,6 @@ class Rollouts:
                 mujoco.mj_step(self.model, data)
                 mujoco.mj_getState(self.model, data, state, _STATE)
         return states
-
-
-class ServoRollouts(Rollouts):
-    """Rollouts of an arm behind servos.
-
-    Attributes:
-        actuators: those of the chain.
-    """
-
-    def __init__(self, robot: RobotModel) -> None:
-        super().__init__(robot)
-        self.actuators = chain_actuators(robot)
 
     def positions(
         self, servos: ServoParameters, windows: Sequence[ServoWindow], edges: Array
@@ -356,7 +333,8 @@ class ServoRollouts(Rollouts):
         springs = model.dof_jntid[dofs][~driven]
         in_file = self.robot.mj_model.jnt_stiffness[springs]
         model.jnt_stiffness[springs] = in_file + stiffness[~driven]
-        self.set_constants()
+        # As in a compiled file, dry friction is as firm as these rotor inertias make it.
+        mujoco.mj_setConst(model, mujoco.MjData(model))
         # An implicit step damps the velocity at its end. Half a step of damping less of rotor
         # inertia makes it the mean of those at both ends.
         less = 0.5 * model.opt.timestep * damping

@@ -78,20 +78,6 @@ def test_a_program_gets_the_same_files(command, heavy, logs, first):
     assert Path("saved", "updated_model.xml").read_bytes() == model
 
 
-@pytest.mark.slow
-def test_a_polished_file_is_said_and_has_the_printed_numbers(command, heavy, logs):
-    said = command.run("identify", heavy, logs[0], *QUICK, "--polish --links").err
-    assert "polished" in said and "at the end of held-out windows of 0.3 s" in said
-    content = schemas.check(OUT / "params.json")
-    numbers = params.rows(content)
-    written = load_robot_model(OUT / "updated_model.xml")
-    for link in written.links:
-        mass = numbers[link.body_name, "mass"]["value"]
-        assert link.theta[0] == pytest.approx(mass, rel=1e-6)
-    polished = rs.identify(heavy, logs[0], friction_model=TERMS, polish=True)
-    assert without_paths(polished.to_dict()) == without_paths(content)
-
-
 def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     first, second = logs
     options = (first, "--links --validation-measurements", second, *QUICK)

@@ -8,8 +8,10 @@ import pytest
 from rigs.arms import robot_of
 from rigs.servo_logs import commanded, positions
 from robot_sysid.records import Recording
-from robot_sysid.servo.fit import LINK_ERROR, fit_servos, refine_played
-from robot_sysid.servo.windows import ServoProblem, rms
+from robot_sysid.servo.fit import LINK_ERROR, fit_servos
+from robot_sysid.servo.loop import rms
+from robot_sysid.servo.played_fit import refine_played
+from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.simulation.playback import (
     ServoParameters,
     ServoRollouts,

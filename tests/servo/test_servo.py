@@ -17,8 +17,11 @@ from robot_sysid.errors import InputError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, Recording
 from robot_sysid.records.data import DataOrigin
+from robot_sysid.servo.command_check import check_commands
 from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.windows import ServoProblem, check_commands, low_pass_motion
+from robot_sysid.servo.loop import low_pass_motion
+from robot_sysid.servo.result import ServoIdentification, servo_lines, servo_notes
+from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.simulation.playback import (
     ServoParameters,
     ServoRollouts,
@@ -43,36 +46,34 @@ def identification(robot, error=0.1):
     origin = DataOrigin("log log.csv", 10.0, 50.0)
     after = np.full(2, error)
     errors = np.ones(2), after, 0.5
-    return servo.ServoIdentification(robot, fit, true, origin, *errors, ())
+    return ServoIdentification(robot, fit, true, origin, *errors, ())
 
 
-def run(robot, folder, monkeypatch, error=0.1, accept=(), cards=None):
+def run(robot, folder, error=0.1, accept=(), cards=None):
     """Write a given identification; return the outcome and the notes."""
     zero = np.zeros((3, robot.n_joints))
     poses = Motion(np.arange(3.0), zero, zero, zero)
     result = identification(robot, error)
-    monkeypatch.setattr(servo, "identify_servos", lambda *_: (result, poses))
-    progress = NoteRecorder()
     config = IdentifyConfig.of(
         robot.path, accept=accept, output_dir=folder, cards=cards
     )
-    outcome = servo.run_servo(config, robot, progress)
+    outcome, notes = servo.write_servos(config, result, poses)
     schemas.check(folder / "servo.json")
-    return outcome, progress.notes
+    return outcome, [*notes]
 
 
-def test_what_was_judged_of_a_urdf_is_written_as_an_mjcf(robots, tmp_path, monkeypatch):
-    _, (note,) = run(robots["urdf"], tmp_path, monkeypatch)
+def test_what_was_judged_of_a_urdf_is_written_as_an_mjcf(robots, tmp_path):
+    _, (note,) = run(robots["urdf"], tmp_path)
     assert "no position actuator on base_l1, l1_l2" in note
     assert json.loads((tmp_path / "servo.json").read_text())["notes"] == [note]
     written = load_robot_model(tmp_path / "updated_model.xml")
     assert written.armature.tolist() == [0.1, 0.1]
     assert not (tmp_path / "updated_model.urdf").exists()
-    assert run(robots["xml"], tmp_path / "xml", monkeypatch)[1] == []
+    assert run(robots["xml"], tmp_path / "xml")[1] == []
 
 
-def test_a_card_has_the_rotors_of_the_written_model(robots, tmp_path, monkeypatch):
-    outcome, _ = run(robots["xml"], tmp_path, monkeypatch, cards="mjlab")
+def test_a_card_has_the_rotors_of_the_written_model(robots, tmp_path):
+    outcome, _ = run(robots["xml"], tmp_path, cards="mjlab")
     assert outcome.verdict[-1] == f"For mjlab: {tmp_path / 'mjlab_card.py'}"
     text = (tmp_path / "mjlab_card.py").read_text()
     assert text.count("'armature': 0.1,") == robots["xml"].n_joints
@@ -80,17 +81,17 @@ def test_a_card_has_the_rotors_of_the_written_model(robots, tmp_path, monkeypatc
 
 def test_a_gain_that_the_logs_do_not_show_is_said(robots):
     result = identification(robots["xml"])
-    assert list(servo.servo_notes(result)) == []
+    assert list(servo_notes(result)) == []
     errors = result.fit.errors.copy()
     errors[0, 1] = 0.5 * GAIN
     result = replace(result, fit=replace(result.fit, errors=errors))
-    (note,) = servo.servo_notes(result)
+    (note,) = servo_notes(result)
     assert "joint1" in note and "only ratios" in note
     delay, *rows = result.quantities
     assert (delay.name, delay.value) == ("command_delay", 0.02)
     marked = [(row.name, row.of) for row in rows if row.source == "model"]
     assert marked == [("gain", "joint1")]
-    (line,) = (line for line in servo.servo_lines(result) if "joint1 gain" in line)
+    (line,) = (line for line in servo_lines(result) if "joint1 gain" in line)
     assert line.endswith("prior")
 
 
@@ -102,16 +103,16 @@ def test_a_gain_that_the_logs_do_not_show_is_said(robots):
         (0.6, "0.6 rad over 1 s, the model before 1, the delayed commands 0.5"),
     ],
 )
-def test_a_model_must_beat_its_rivals(robots, tmp_path, monkeypatch, error, fault):
+def test_a_model_must_beat_its_rivals(robots, tmp_path, error, fault):
     """What got worse is not called usable even if it is accepted."""
-    outcome, _ = run(robots["xml"], tmp_path, monkeypatch, error)
+    outcome, _ = run(robots["xml"], tmp_path, error)
     is_written = (tmp_path / "updated_model.xml").exists()
     assert is_written == (fault is None)
     if fault is None:
         assert outcome.failure is None
         return
     assert fault in outcome.failure and outcome.verdict[0].startswith("Not usable")
-    accepted, _ = run(robots["xml"], tmp_path, monkeypatch, error, ("rollout",))
+    accepted, _ = run(robots["xml"], tmp_path, error, ("rollout",))
     assert accepted.verdict[0].startswith("Not usable, but written")
     assert accepted.failure is None and (tmp_path / "updated_model.xml").exists()
 
@@ -155,8 +156,13 @@ def so_arm(tmp_path):
     return load_robot_model(tmp_path / "arm.xml")
 
 
-def identify(robot, paths, folder):
-    config = IdentifyConfig.of(robot.path, measurements=paths, output_dir=folder)
+def identify(robot, paths, folder, held_out=()):
+    config = IdentifyConfig.of(
+        robot.path,
+        measurements=paths,
+        validation_measurements=held_out,
+        output_dir=folder,
+    )
     return servo.run_servo(config, robot, NoteRecorder())
 
 
@@ -174,30 +180,51 @@ def test_a_gain_that_no_link_shows_is_written_with_its_friction_and_rotor(
     assert outcome.result.after[2] < 0.5 * outcome.result.before[2]
 
 
-def test_numbers_that_play_worse_than_the_models_are_all_kept(
-    so_arm, tmp_path, monkeypatch
-):
-    """What was found of the last joint is made wrong; the file keeps all three of its numbers."""
-    paths = data_set(tmp_path, so_arm, SO_TRUTH, (1.0, 1.0))
-    refine = servo.refine_played
-
-    def spoil(*arguments):
-        """Return the fit with four times the last joint's damping."""
-        fit = refine(*arguments)
-        factors = np.ones((4, 3))
-        factors[1, 2] = 4.0
-        return replace(fit, numbers=fit.numbers * factors)
-
-    monkeypatch.setattr(servo, "refine_played", spoil)
-    outcome = identify(so_arm, paths, tmp_path)
+def test_numbers_that_play_worse_than_the_models_are_all_kept(so_arm, tmp_path):
+    """The last joint was not as in the logs when others were recorded: it was as in the file."""
+    in_model = servos_in_model(so_arm).numbers
+    numbers = SO_TRUTH.numbers.copy()
+    numbers[1, 2] *= 4.0
+    before_repair = replace(SO_TRUTH, numbers=numbers)
+    numbers = SO_TRUTH.numbers.copy()
+    numbers[:, 2] = in_model[:, 2]
+    after_repair = replace(SO_TRUTH, numbers=numbers)
+    folders = [tmp_path / name for name in ("fitted", "held_out")]
+    for folder in folders:
+        folder.mkdir()
+    fitted = data_set(folders[0], so_arm, before_repair, (1.0, 1.0))
+    held_out = data_set(folders[1], so_arm, after_repair, (1.0,))
+    outcome = identify(so_arm, fitted, tmp_path, held_out)
     assert outcome.verdict[0].startswith("Usable")
     assert outcome.result.is_new.tolist() == [True, True, False]
     last = [row for row in outcome.result.quantities if row.of == "roll"]
     assert {row.source for row in last} == {"model"}
     assert any("roll" in note and "worse" in note for note in outcome.result.notes)
     written = load_robot_model(tmp_path / "updated_model.xml")
-    last = [servos_in_model(robot).numbers[:, 2] for robot in (written, so_arm)]
-    np.testing.assert_array_equal(*last)
+    np.testing.assert_array_equal(
+        servos_in_model(written).numbers[:, 2], in_model[:, 2]
+    )
+
+
+@pytest.mark.parametrize("shares", [(1.0, 0.0), (0.0, 1.0)])
+def test_numbers_are_judged_by_what_was_fitted_and_by_what_was_not(so_arm, shares):
+    """What was found of the last joint is made wrong, which shows where that joint moves."""
+    numbers = SO_TRUTH.numbers.copy()
+    numbers[1, 2] *= 4.0
+    is_known = np.ones(3, dtype=bool)
+    found = ServoFit(numbers, SO_TRUTH.delay, 0.1 * numbers, ~is_known, is_known, 1e-3)
+    rollouts = ServoRollouts(so_arm)
+    problems = []
+    for seed, share in enumerate(shares):
+        time, two = commanded(12.0, seed=seed)
+        command = np.column_stack((two, share * two[:, 0]))
+        q = positions(so_arm, time, command, SO_TRUTH)
+        problems.append(ServoProblem(rollouts, [log(q, command, time)]))
+    fit, is_new, *_ = servo.numbers_to_write(found, *problems)
+    assert is_new.tolist() == [True, True, False]
+    in_model = servos_in_model(so_arm).numbers
+    np.testing.assert_array_equal(fit.numbers[:, 2], in_model[:, 2])
+    np.testing.assert_array_equal(fit.numbers[:, :2], numbers[:, :2])
 
 
 def test_a_joint_at_rest_without_a_servo_spoils_no_other(so_arm, tmp_path):
