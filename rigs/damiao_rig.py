@@ -322,7 +322,7 @@ class Damage:
     def __call__(self, run):
         run.bus.damage = self
 
-    def damaged(self, frame, position_limit):
+    def apply(self, frame, position_limit):
         """Return a motor's frame as it comes, by its PMAX [rad]; ValueError where it is none."""
         line = f"t{frame.id:03X}8{frame.data.hex().upper()}"
         if self.field == "text":
@@ -394,7 +394,7 @@ class FaultyBus(SimulatedLink):
             self.damage = None
             limit = self.arm.motors[damage.joint].joint.spec.limits[0]
             try:
-                frame = damage.damaged(frame, limit)
+                frame = damage.apply(frame, limit)
             except ValueError:
                 # As ``BusLink`` does, pass over a line that is no frame.
                 return
@@ -435,21 +435,21 @@ def fault(joint, **values):
     return Fault(joint, values)
 
 
-def restarted(joint, seconds, shift=0.0):
+def restart_motor(joint, seconds, shift=0.0):
     """Return the cause that lets a motor start again, silent for so long [s].
 
     Its position is then another one by ``shift`` [rad], which may be a function of the motor.
     """
     off = fault(joint, status=protocol.DISABLED, silent=True, shift=shift)
-    return both(off, later(seconds, fault(joint, silent=False)))
+    return combine_causes(off, delay_cause(seconds, fault(joint, silent=False)))
 
 
-def later(seconds, cause):
+def delay_cause(seconds, cause):
     """Return the cause that lets another one happen so many seconds later."""
     return lambda rig: rig.at(seconds, lambda: cause(rig))
 
 
-def both(*causes):
+def combine_causes(*causes):
     """Return the cause of several ones at once."""
     return lambda rig: [cause(rig) for cause in causes]
 
@@ -487,7 +487,7 @@ def state(position=0.0, velocity=0.0, torque=0.0, status=1, mos=30, rotor=30):
     return Feedback(*np.broadcast_arrays(*fields))
 
 
-def undoubted(answered, time, feedback, requested, command=None):
+def undoubted_replies(answered, time, feedback, requested, command=None):
     """Replies in a cycle in which nothing was doubted, surplus or foreign."""
     no_count = np.zeros(len(answered), int)
     none = no_count != 0

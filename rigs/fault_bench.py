@@ -24,8 +24,8 @@ import numpy as np
 from rigs.damiao_rig import (
     Damage,
     MotorRun,
+    delay_cause,
     fault,
-    later,
     mit_command,
     motor,
     trajectory_of,
@@ -380,7 +380,7 @@ def outcomes_of(cases, jobs=2):
             run = BenchRun(setup, setup_cases, Path(folder), jobs)
             clean = run.play()
             for number, case in enumerate(setup_cases):
-                yield judged_outcome(case, run.record_of(number), clean)
+                yield judge_outcome(case, run.record_of(number), clean)
 
 
 @dataclass(frozen=True)
@@ -500,7 +500,7 @@ def _ending(record):
     return "refused" if record.error else "completed"
 
 
-def judged_outcome(case, record, clean):
+def judge_outcome(case, record, clean):
     """Return what came of a case, by its record and that of the undisturbed run."""
     # The player stops at errors of the bench, too.
     assert "Error: " not in record.error, record.error
@@ -608,7 +608,7 @@ class SaggingSupply:
     def __call__(self, run):
         for tenth in range(10):
             run.at(0.1 * tenth, partial(self._sag, run))
-        later(2.0, fault(self.joint, status=UNDER_VOLTAGE))(run)
+        delay_cause(2.0, fault(self.joint, status=UNDER_VOLTAGE))(run)
 
     def _sag(self, run):
         for weak in run.motors:

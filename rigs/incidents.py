@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from rigs.arms import Y, Z, serial_arm
-from rigs.damiao_rig import fault, later
+from rigs.damiao_rig import delay_cause, fault
 from rigs.fault_bench import AT_START, OTHERS, Case
 from rigs.worn_arms import WORN_ARMS, WornSetUp
 from robot_sysid.damiao.protocol import DISABLED, Register
@@ -109,7 +109,7 @@ class PowerDip:
 
     def __call__(self, run):
         fault(self.joint, silent=True, status=DISABLED)(run)
-        later(0.05, fault(self.joint, silent=False))(run)
+        delay_cause(0.05, fault(self.joint, silent=False))(run)
 
 
 @dataclass(frozen=True)

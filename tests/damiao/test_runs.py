@@ -20,12 +20,12 @@ from rigs.damiao_rig import (
     BIT_RATE,
     Damage,
     Rig,
-    both,
+    combine_causes,
+    delay_cause,
     fault,
-    later,
     lifted_swing,
     motor,
-    restarted,
+    restart_motor,
     swing,
 )
 from rigs.places import ROOT
@@ -67,8 +67,8 @@ def test_an_undisturbed_run_plays_everything_and_disables(plain_run):
 
 def test_lost_replies_and_a_short_stall_leave_gaps_and_nothing_is_replayed(rig):
     run = rig(**USUAL)
-    found = later(0.008, fault(1, lost_replies=False))
-    run.during("playing", 0.3, both(fault(1, lost_replies=True), found))
+    found = delay_cause(0.008, fault(1, lost_replies=False))
+    run.during("playing", 0.3, combine_causes(fault(1, lost_replies=True), found))
     run.during("playing", 0.5, lambda r: r.clock.stall(0.015)).run()
     recording = run.assert_played()
     q = recording.joint_values("pos")
@@ -99,7 +99,7 @@ def test_a_status_in_every_tenth_answer_is_counted_in_a_run_that_goes_on(rig):
     assert none == {} and [*reports] == [3] and n_rows <= reports[3] <= n_rows + 3
     assert run.report.confirmed_reports == run.report.reports
     assert run.report.refused.tolist() == run.report.missed.tolist() == [0, reports[3]]
-    assert not np.any(run.report.lost) and not run.report.is_flawless
+    assert not np.any(run.report.n_lost) and not run.report.is_flawless
 
 
 def test_each_command_is_answered_or_its_answer_refused_late_or_lost(rig):
@@ -129,12 +129,13 @@ def test_each_command_is_answered_or_its_answer_refused_late_or_lost(rig):
     run.during("playing", 0.1, see_errors)
     run.during("playing", 0.2, Damage("status", 7, 1)).run(settle=0.0)
     report = run.report
-    assert report.lost.tolist() == [0, len(lost)] and len(lost) > 3
+    assert report.n_lost.tolist() == [0, len(lost)] and len(lost) > 3
     assert report.late.tolist() == [0, (len(sent) + 10) // 60]
     assert report.refused.tolist() == [0, 1] and report.error_frames == 3
     assert report.reports == ({}, {7: 1}) and report.confirmed_reports == ({}, {})
     assert (
-        report.missed.tolist() == (report.lost + report.late + report.refused).tolist()
+        report.missed.tolist()
+        == (report.n_lost + report.late + report.refused).tolist()
     )
     commands = [frame for frame in run.wire.sent if not is_special(frame.data)]
     for j in range(2):
@@ -408,6 +409,7 @@ class Line:
 DEAF = {"max_speed_error": 9.0, "max_tracking_error": 9.0}
 UNPLUGGED = driver_fails(LinkError("gone"), 1e9)
 LOST = "answer in time for 6 cycles; no confirmation that these motors are disabled: motor 2. Cut"
+BOTH_FAIL = combine_causes(fault(0, status=9), fault(1, status=9))
 RAMP = "raising the gains"
 WAY = "moving to the first point"
 # The other joint has no stiffness.
@@ -425,10 +427,10 @@ TABLE = (
     Line("motor dies", fault(1, silent=True), "1D 0D 0D", LOST),
     Line("answers lost", fault(1, lost_replies=True), "11 00 00", LOST),
     Line("disabled by itself", fault(1, status=0), "10 00 00", "motor 2 was switched off"),
-    Line("all fail", both(fault(0, status=9), fault(1, status=9)), "99 99 99", "status 9"),
+    Line("all fail", BOTH_FAIL, "99 99 99", "status 9"),
     Line(
         "a second one fails while it brakes",
-        both(fault(0, status=0xA), later(0.02, fault(1, status=0xB))),
+        combine_causes(fault(0, status=0xA), delay_cause(0.02, fault(1, status=0xB))),
         *("AB AB AB", "motor 1 reports status A"),
     ),
     Line("blocked joint", fault(0, jam_damping=1e6), "01 00 00", "rad again and again"),
@@ -498,14 +500,14 @@ def to_zero(hit):
 def test_a_motor_that_starts_again_is_not_taken_for_a_cable(rig, seconds, shift):
     """Whatever position it then has: its turn count may be lost, or its zero."""
     run = rig(**USUAL)
-    run.during("playing", 0.25, restarted(1, seconds, shift)).run(settle=0.0)
+    run.during("playing", 0.25, restart_motor(1, seconds, shift)).run(settle=0.0)
     assert "motor 2 was switched off, or started again" in str(run.error), run.error
     assert run.error.report.reports[1][DISABLED] >= 1
 
 
 def test_a_motor_that_starts_again_more_slowly_is_named_after_the_stop(rig):
     run = rig(**USUAL)
-    run.during("playing", 0.25, restarted(1, 0.05, to_zero)).run(settle=0.0)
+    run.during("playing", 0.25, restart_motor(1, 0.05, to_zero)).run(settle=0.0)
     silent, since = str(run.error).split("; it has answered since then: ")
     assert silent == "motor 2 did not answer in time for 6 cycles"
     assert since.startswith("motor 2 was switched off, or started again: it reports st")

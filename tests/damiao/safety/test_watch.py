@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import mit_command, state, undoubted
+from rigs.damiao_rig import mit_command, state, undoubted_replies
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
 from robot_sysid.damiao.references import Reference
@@ -62,7 +62,9 @@ def cycle(k, command, answered, *signals):
     """Return replies and command of a cycle; the second joint's signals may be missing."""
     seen = np.array([True, answered])
     now = state(*np.where(seen, signals, np.nan), status=np.where(seen, 1, NO_STATUS))
-    return undoubted(seen, np.where(seen, k * CYCLE, np.nan), now, seen), command
+    return undoubted_replies(
+        seen, np.where(seen, k * CYCLE, np.nan), now, seen
+    ), command
 
 
 def stand(cycles, q=0.0, answered=True):
@@ -316,5 +318,5 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
         command = mit_command(target, speed, kp, kd)
         now = state(q, qd, command.motor_torque(q, qd))
         both = np.ones(2, bool)
-        replies = undoubted(both, np.full(2, k * cycle), now, both)
+        replies = undoubted_replies(both, np.full(2, k * cycle), now, both)
         watched.check(replies, command, followed(command))
