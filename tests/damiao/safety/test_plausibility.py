@@ -221,8 +221,7 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     start = session.enable()
     waiting = list(answers)
     for motor in bus.motors:
-        sound = motor._feedback
-        motor._feedback = lambda sound=sound: waiting.pop(0) if waiting else sound()
+        motor.next_answers = waiting
     clock = bus.clock
     last = start.copy()
     enabled_at = clock.now()
