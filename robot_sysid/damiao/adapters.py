@@ -235,7 +235,7 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
         options[name] = can.util.cast_from_string(value)
     try:
         if interface == SERIAL_ADAPTER:
-            bus: Any = SerialAdapter(str(channel), **options)
+            bus: Any = SerialAdapter.open(str(channel), **options)
         else:
             bus = can.Bus(channel, interface, ignore_config=True, **options)
     except (Exception, SystemExit) as error:
@@ -311,15 +311,19 @@ class SerialAdapter:
     It has the methods of python-can's buses that ``BusLink`` calls.
 
     Args:
-        device: path of the serial port.
-        baudrate: speed of the serial line [bit/s].
+        port: the serial port, open.
     """
 
-    def __init__(self, device: str, baudrate: int = 921_600) -> None:
+    def __init__(self, port: Any) -> None:
+        self._port = port
+        self._read = SerialReader(port, PACKET)
+
+    @classmethod
+    def open(cls, device: str, baudrate: int = 921_600) -> SerialAdapter:
+        """Open the serial port at a path, with a speed [bit/s], and return the adapter at it."""
         import serial
 
-        self._port = serial.Serial(device, baudrate)
-        self._read = SerialReader(self._port, PACKET)
+        return cls(serial.Serial(device, baudrate))
 
     def send(self, message: Any, timeout: float) -> None:
         """Send a frame; the adapter does not report when the frame was on the bus."""

@@ -506,14 +506,18 @@ class StopRequest:
     person (Ctrl-C) means "at once, even if the arm drops": hang-up and termination signals come in
     bursts when a terminal is closed or a computer shuts down.
 
+    Args:
+        now: returns the time by which interrupts are told apart [s].
+
     Attributes:
         reason: reason of the first request; "" before.
         insisted: whether the run has to end at once.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self.reason = ""
         self.insisted = False
+        self._now = now
         self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:
@@ -535,7 +539,7 @@ class StopRequest:
         """
         insists = False
         if number == signal.SIGINT:
-            now = time.monotonic()
+            now = self._now()
             self._interrupted_at = min(self._interrupted_at, now)
             insists = now - self._interrupted_at > SAME_KEY_PRESS
         self(f"stopped by {signal.Signals(number).name}", insist=insists)

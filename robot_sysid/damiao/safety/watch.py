@@ -33,8 +33,9 @@ the recording shows that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -149,6 +150,14 @@ class Phase:
 
 PLAYING = Phase()
 """A phase in which the arm follows a motion."""
+
+
+class _Comparison(NamedTuple):
+    """What a row of the watch compares, of n joints each, and by how much it may differ."""
+
+    measured: Array
+    expected: Array
+    bound: Array
 
 
 class Watch:
@@ -311,32 +320,86 @@ class Watch:
 
         The arguments are those of ``check``. A joint without an answer is not judged.
         """
-        settings = self._settings
-        peak = self._peak
         q = replies.feedback.position
-        turn, way, speed, led, tau, commanded, fed, added, _ = self._short
-        _, long_way, long_speed, _, long_tau, long_commanded, long_fed, _, _ = (
-            self._long
-        )
-        drift_way, drift_speed = self._drift
-        # Positions that drift are not in these velocities. A right arm differs by a late velocity,
-        # by its scale, and by rounding where it moves slowly.
-        drift_bound = (
-            _DRIFT
-            + _LATE * np.abs(speed - drift_speed)
-            + _SCALE * np.abs(drift_speed)
-            + 0.5 * self._velocity_step
-        )
-        tracking = np.array(settings.tracking)
+        tracking = np.array(self._settings.tracking)
         if phase.stands:
             tracking = self.standing_limit(q, acted.position, acted.torque)
         stands = np.abs(acted.velocity) <= self._velocity_step
         stands &= self._long[3] <= self._velocity_step
-        load = np.clip(
-            self._spring,
-            np.where(stands, _STANDING_LOAD, _MOVING_LOAD) * peak,
-            _MOST_LOAD * peak,
+
+        # In the order of ``_ROWS``.
+        rows = [
+            _Comparison(q, acted.position, tracking),
+            *self._speed_comparisons(),
+            *self._torque_comparisons(self._load_bound(stands, followed)),
+        ]
+        measured, expected, bounds = map(np.array, zip(*rows))
+        if phase.rises:
+            bounds[_FED:] = np.inf
+        if phase.settles:
+            bounds[_NEEDED] = np.inf
+        bounds[_SAMPLED, self._slowed > _MOST_SLOWED] = np.inf
+
+        residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
+        self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
+        excess = residuals / bounds
+        k, j = divmod(int(np.argmax(excess)), len(q))
+        if excess[k, j] <= 1.0:
+            return
+        _, way, _, led, *_ = self._short
+        self.stuck |= (np.abs(way) < _BLOCKED_SHARE * np.abs(led)) & ~stands
+        self._raise(j, _ROWS[k].format(measured[k, j], expected[k, j]))
+
+    def _speed_comparisons(self) -> Iterator[_Comparison]:
+        """Yield the rows of speeds: against the command, over 0.1 and 1 s, and with their signs."""
+        turn, way, speed, led, *_ = self._short
+        long_turn, long_way, long_speed, *_ = self._long
+        drift_way, drift_speed = self._drift
+        most_beside_led = self._settings.max_speed_error + 2.0 * self._velocity_step
+        yield _Comparison(way, led, most_beside_led)
+        bound = _SPEED_ERROR + _SPEED_SHARE * np.abs(speed)
+        bound = bound + self._velocity_step + 0.5 * turn
+        yield _Comparison(way, self._slowed_speed(way, speed), bound)
+        long_bound = _LONG_SPEED_ERROR + _SCALE * long_speed
+        long_bound = long_bound + 0.5 * (self._velocity_step + long_turn)
+        yield _Comparison(
+            long_way, self._slowed_speed(long_way, long_speed), long_bound
         )
+        # Positions that drift are not in these velocities. A right arm differs by a late velocity,
+        # by its scale, and by rounding where it moves slowly.
+        drift_bound = _DRIFT + _LATE * np.abs(speed - drift_speed)
+        drift_bound = drift_bound + _SCALE * np.abs(drift_speed)
+        drift_bound = drift_bound + 0.5 * self._velocity_step
+        yield _Comparison(
+            drift_way, self._slowed_speed(drift_way, drift_speed), drift_bound
+        )
+
+    def _torque_comparisons(self, load: Array) -> Iterator[_Comparison]:
+        """Yield the rows of torques: against the command, over 0.1 and 1 s, what is fed and needed.
+
+        ``load`` (n,) is by how much what a joint needs may change within a second [N m].
+        """
+        tau, commanded, fed, added, _ = self._short[4:]
+        long_tau, long_commanded, long_fed, _, _ = self._long[4:]
+        peak = self._peak
+        bound = _TORQUE_ERROR * peak + 4.0 * self._torque_step
+        yield _Comparison(tau, commanded, bound)
+        floor = np.maximum(4.0 * self._torque_step, _LONG_TORQUE_FLOOR * peak)
+        long_bound = _LONG_TORQUE_SHARE * long_commanded + floor
+        yield _Comparison(long_tau, long_commanded, long_bound)
+        yield _Comparison(tau, fed, peak / _PEAK_OVER_EXCITATION)
+        # A wrong model gets half of a change of the feed-forward torque wrong.
+        needed_bound = load + 0.5 * np.abs(fed - long_fed)
+        yield _Comparison(fed + added, fed + self._usually_added, needed_bound)
+
+    def _load_bound(self, stands: Mask, followed: Reference) -> Array:
+        """Return by how much the torque that each joint (n,) needs may change within a second.
+
+        ``stands`` (n,) says which joints are led nowhere, ``followed`` is the reference [N m].
+        """
+        peak = self._peak
+        least = np.where(stands, _STANDING_LOAD, _MOVING_LOAD) * peak
+        load = np.clip(self._spring, least, _MOST_LOAD * peak)
         # What the weight is usually off changes with the pose: by all of it within a radian. An arm
         # that sinks where it is to stand has not been led anywhere.
         moved = np.minimum(_LONG * np.max(self._long[3], initial=0.0), 1.0)
@@ -346,56 +409,7 @@ class Watch:
         # that sticks and slips needs its friction one way, and at once the other way.
         swinging = load + _CREST * np.min(self._swing, axis=0)
         moving = np.maximum(swinging, 2.0 * self._friction)
-        load = np.where(stands, load, moving)
-        torque_floor = np.maximum(4.0 * self._torque_step, _LONG_TORQUE_FLOOR * peak)
-        # Measured, expected and bound of each of ``_ROWS``.
-        rows = [
-            (q, acted.position, tracking),
-            (way, led, settings.max_speed_error + 2.0 * self._velocity_step),
-            (
-                way,
-                self._slowed_speed(way, speed),
-                _SPEED_ERROR
-                + _SPEED_SHARE * np.abs(speed)
-                + self._velocity_step
-                + 0.5 * turn,
-            ),
-            (
-                long_way,
-                self._slowed_speed(long_way, long_speed),
-                _LONG_SPEED_ERROR
-                + _SCALE * long_speed
-                + 0.5 * (self._velocity_step + self._long[0]),
-            ),
-            (drift_way, self._slowed_speed(drift_way, drift_speed), drift_bound),
-            (tau, commanded, _TORQUE_ERROR * peak + 4.0 * self._torque_step),
-            (
-                long_tau,
-                long_commanded,
-                _LONG_TORQUE_SHARE * long_commanded + torque_floor,
-            ),
-            (tau, fed, peak / _PEAK_OVER_EXCITATION),
-            # A wrong model gets half of a change of the feed-forward torque wrong.
-            (
-                fed + added,
-                fed + self._usually_added,
-                load + 0.5 * np.abs(fed - long_fed),
-            ),
-        ]
-        measured, expected, bounds = map(np.array, zip(*rows))
-        if phase.rises:
-            bounds[_FED:] = np.inf
-        if phase.settles:
-            bounds[_NEEDED] = np.inf
-        bounds[_SAMPLED, self._slowed > _MOST_SLOWED] = np.inf
-        residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
-        self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
-        excess = residuals / bounds
-        k, j = divmod(int(np.argmax(excess)), len(q))
-        if excess[k, j] <= 1.0:
-            return
-        self.stuck |= (np.abs(way) < _BLOCKED_SHARE * np.abs(led)) & ~stands
-        self._raise(j, _ROWS[k].format(measured[k, j], expected[k, j]))
+        return np.where(stands, load, moving)
 
     @property
     def _usually_added(self) -> Array:
