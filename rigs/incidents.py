@@ -5,8 +5,9 @@ Each row is played at three fidelities, each by one test (``tests/damiao/test_in
 - samples: what the watch sees of it, and says, without motors and time (``rigs.watched_samples``);
 - simulated: a whole run on simulated motors and a simulated bus, in simulated time. Each plays on
   one or several arms: two pendulums, of which the motors' states are compared
-  (``rigs.pendulum_runs``), the Kinova arm by a guessed model, and two arms that are not as their
-  models say, with their model and without (``rigs.fault_bench``);
+  (``rigs.pendulum_runs``), an arm that floats (``rigs.floating_arm``), the Kinova arm by a guessed
+  model, and two arms that are not as their models say, with their model and without
+  (``rigs.fault_bench``);
 - process: ``robot-sysid motors play`` in real time (``rigs.process_incidents``).
 
 What makes no sense at a fidelity says why.
@@ -23,6 +24,7 @@ import numpy as np
 from rigs import watched_samples
 from rigs.damiao_rig import combine_causes, delay_cause, fault, swing
 from rigs.fault_bench import SHOULDER, Case
+from rigs.floating_arm import FloatingCase
 from rigs.motor_causes import (
     JAMMED,
     PowerDip,
@@ -31,6 +33,7 @@ from rigs.motor_causes import (
     SecondMotor,
     ask_for_too_much,
     break_driver,
+    close_terminal,
     delay_answers,
     exchange_ids,
     fault_of_all,
@@ -82,13 +85,14 @@ class Incident:
     Attributes:
         name: of the row.
         samples: what the watch sees, and says.
-        simulated: runs by the arm that they are played on: "pendulums", "kinova" or "worn".
+        simulated: runs by the arm that they are played on: "pendulums", "floating", "kinova" or
+            "worn".
         process: what happens to the program that plays.
     """
 
     name: str
     samples: SampleCase | NotPlayed
-    simulated: Mapping[str, Case | PendulumCase] | NotPlayed
+    simulated: Mapping[str, Case | PendulumCase | FloatingCase] | NotPlayed
     process: ProcessCase | NotPlayed
 
 
@@ -128,6 +132,7 @@ kinova = partial(Case, "")
 worn = partial(Case, "", bound=0.05)
 process = partial(ProcessCase, "")
 pendulums = PendulumCase
+floating = FloatingCase
 shoulder = partial(fault, SHOULDER)
 wrist = partial(fault, WRIST)
 AT_START = {"phase": "", "after": 0.0}
@@ -217,6 +222,7 @@ INCIDENTS = (
         LIKE_ANOTHER,
         {
             "pendulums": pendulums(fault(1, silent=True), "1D 0D 0D", LOST),
+            "floating": floating(lost_motor(0), 3, "motor 1 .* did not answer"),
             "kinova": kinova(lost_motor(SHOULDER), UNANSWERED, quantity=OTHERS),
         },
         ARM_IS_ALONE,
@@ -226,6 +232,9 @@ INCIDENTS = (
         sample_case("did not answer in time for 6 cycles", partial(miss, 6)),
         {
             "pendulums": pendulums(fault(1, lost_replies=True), "11 00 00", LOST),
+            "floating": floating(
+                fault(0, lost_replies=True), 3, "motor 1 .* did not answer", 0.1
+            ),
             "kinova": kinova(shoulder(lost_replies=True), UNANSWERED),
         },
         ARM_IS_ALONE,
@@ -282,7 +291,16 @@ INCIDENTS = (
     Incident(
         "motor reports a fault",
         sample_case("reports status A", partial(two_reports, 0xA)),
-        {"kinova": kinova(shoulder(status=0xA), "reports status A", quantity=OTHERS)},
+        {
+            "floating": floating(fault(0, status=0xA), 3, "motor 1 .* reports status A"),
+            "kinova": kinova(shoulder(status=0xA), "reports status A", quantity=OTHERS),
+        },
+        SAME_PROGRAM,
+    ),
+    Incident(
+        "motor says now and then that it does not drive, and drives",
+        FILTERED,
+        {"floating": floating(fault(0, false_status=3), 1, "", 0.1)},
         SAME_PROGRAM,
     ),
     Incident(
@@ -389,7 +407,12 @@ INCIDENTS = (
     Incident(
         "motor makes half its torque",
         swing_case("motor 2 disagrees in torque: it needs", off=drifting_torque),
-        {"kinova": kinova(shoulder(torque_share=0.5), NEEDS)},
+        {
+            "floating": floating(
+                fault(0, torque_share=0.5), 3, "motor 1 .* is not carried", 0.2
+            ),
+            "kinova": kinova(shoulder(torque_share=0.5), NEEDS),
+        },
         SAME_PROGRAM,
     ),
     Incident(
@@ -466,7 +489,10 @@ INCIDENTS = (
     Incident(
         "encoder frozen, shoulder",
         swing_case("motor 2 disagrees in position: it reports", frozen_after=0.5),
-        {"kinova": kinova(shoulder(frozen_encoder=own_position), REPEATS)},
+        {
+            "floating": floating(fault(0, frozen_encoder=own_position), 0, "", 0.3),
+            "kinova": kinova(shoulder(frozen_encoder=own_position), REPEATS),
+        },
         SAME_PROGRAM,
     ),
     Incident(
@@ -569,7 +595,12 @@ INCIDENTS = (
     Incident(
         "encoder jumps 0.3 rad",
         FILTERED,
-        {"worn": worn(shoulder(encoder_error=0.3))},
+        {
+            "floating": floating(
+                fault(0, encoder_error=0.3), 3, "motor 1 .* jumped by", 0.1
+            ),
+            "worn": worn(shoulder(encoder_error=0.3)),
+        },
         SAME_PROGRAM,
     ),
     Incident(
@@ -587,7 +618,12 @@ INCIDENTS = (
     Incident(
         "reported position jumps 0.3 rad",
         FILTERED,
-        {"worn": worn(shoulder(shift=0.3), bound=0.1)},
+        {
+            "floating": floating(
+                fault(0, shift=0.3), 3, "motor 1 .* jumped by", 0.1
+            ),
+            "worn": worn(shoulder(shift=0.3), bound=0.1),
+        },
         SAME_PROGRAM,
     ),
     Incident(
@@ -800,6 +836,10 @@ INCIDENTS = (
             "pendulums": pendulums(
                 break_driver(LinkError("gone"), 1e9), TRIPS, "gone; no confirmation"
             ),
+            "floating": floating(
+                break_driver(LinkError("gone"), 1e9),
+                *(3, "gone; no confirmation .* Cut their power"),
+            ),
             "worn": worn(switch_bus_off(100.0), "Cut their power"),
         },
         ARM_IS_ALONE,
@@ -851,7 +891,10 @@ INCIDENTS = (
     Incident(
         "Ctrl-C",
         NO_SAMPLE,
-        {"pendulums": pendulums(raise_signal("SIGINT"), BRAKES, "stopped by SIGINT")},
+        {
+            "pendulums": pendulums(raise_signal("SIGINT"), BRAKES, "stopped by SIGINT"),
+            "floating": floating(raise_signal("SIGINT"), 3, "stopped by SIGINT", 0.1),
+        },
         process(send_signals("SIGINT"), 3, "stopped by SIGINT"),
     ),
     Incident(
@@ -874,7 +917,7 @@ INCIDENTS = (
     Incident(
         "console closed",
         NO_SAMPLE,
-        NotPlayed("nothing but what is printed is lost, which a simulated run prints nowhere"),
+        {"floating": floating(close_terminal, 1, "or printing it failed", 0.2)},
         process(close_console, 0, off_within=9.0),
     ),
     Incident(
@@ -933,6 +976,7 @@ def on_arm(arm: str) -> Callable[[Incident], object]:
 
 SAMPLES = cases_of(lambda incident: incident.samples)
 PENDULUMS = cases_of(on_arm("pendulums"))
+FLOATING = cases_of(on_arm("floating"))
 CASES = cases_of(on_arm("kinova"))
 WORN_CASES = cases_of(on_arm("worn"))
 PROCESSES = cases_of(lambda incident: incident.process)

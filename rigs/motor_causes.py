@@ -268,6 +268,11 @@ def raise_signal(name):
     return lambda run: signal.raise_signal(getattr(signal, name))
 
 
+def close_terminal(run):
+    """Let printing fail from now on."""
+    run.terminal_is_closed = True
+
+
 def stall(seconds):
     """Return the cause of a computer that is busy with something else for a time [s]."""
     return lambda run: run.clock.stall(seconds)

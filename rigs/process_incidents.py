@@ -136,6 +136,13 @@ def play(folder: Path, incident: ProcessCase) -> tuple[RunRecord, int, str]:
         moments["onset"] = time.monotonic()
         incident.act(player)
 
+    def hear(line):
+        said.append(line)
+        if line.startswith("stopping"):
+            moments["stop"] = time.monotonic()
+        if line.startswith("playing"):
+            threading.Timer(BEGINS, act).start()
+
     with arm_process(watched) as (device, _):
         record = ["--record", str(folder / "measured.csv")]
         options = ["--rate", f"{RATE:g}", "--yes", "--accept-directions", *record]
@@ -148,16 +155,13 @@ def play(folder: Path, incident: ProcessCase) -> tuple[RunRecord, int, str]:
         # A console that is closed meanwhile says nothing more.
         with contextlib.suppress(ValueError):
             for line in player.stdout:
-                said.append(line)
-                if line.startswith("stopping"):
-                    moments["stop"] = time.monotonic()
-                if line.startswith("playing"):
-                    threading.Timer(BEGINS, act).start()
+                hear(line)
         said.append(player.stderr.read())
         code = player.wait(PATIENCE)
         player.stdout.close()
         player.stderr.close()
         time.sleep(SINKS)
+
     now, enabled, *positions = np.loadtxt(truth).T
     since = now[np.argmax(enabled == len(positions))]
     is_off = (enabled == 0) & (now > since)
