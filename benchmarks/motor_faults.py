@@ -35,14 +35,11 @@ from pathlib import Path
 
 from benchmarks.speed_table import rewrite
 from rigs.fault_bench import (
-    CASES,
     DAMAGE_BOUND,
     SHOULDER,
-    UNSEEN,
     BenchRun,
     Case,
     Outcome,
-    SecondMaster,
     SetUp,
     damage_cases,
     held_torque,
@@ -50,6 +47,8 @@ from rigs.fault_bench import (
     load_of,
     outcomes_of,
 )
+from rigs.incidents import CASES, UNSEEN
+from rigs.motor_causes import SecondMaster
 from rigs.places import ROOT
 from rigs.worn_arms import WORN_ARMS, WornSetUp
 

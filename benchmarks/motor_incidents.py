@@ -20,7 +20,8 @@ from pathlib import Path
 from benchmarks.motor_faults import PAGE, shorten_message
 from benchmarks.speed_table import rewrite
 from rigs.fault_bench import outcomes_of
-from rigs.incidents import SETUPS, cases_on, departure_of
+from rigs.incident_arms import SETUPS
+from rigs.incidents import PROCESSES, cases_on, departure_of
 from rigs.process_incidents import results_of
 
 ROWS_BEGIN = "<!-- incidents: python -m benchmarks.motor_incidents --page -->"
@@ -49,7 +50,7 @@ def motor_rows(arms: Sequence[str], only: str, jobs: int) -> Iterator[str]:
 def process_rows(only: str) -> Iterator[str]:
     """Yield a row of the table for each incident of the program or around it."""
     with tempfile.TemporaryDirectory() as folder:
-        for result in results_of(Path(folder)):
+        for result in results_of(Path(folder), PROCESSES):
             incident = result.incident
             if only not in incident.name:
                 continue

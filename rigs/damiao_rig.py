@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import builtins
+import errno
 import gc
+import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -44,8 +48,6 @@ INERTIA = 0.1
 GRAVITY = 2.0
 # Register of the code of the bit rate: above 4 a motor answers in CAN-FD.
 BIT_RATE = 35
-# Registers that the motors write.
-WRITABLE = tuple(Register)
 
 
 # --- motions and files ----------------------------------------------------------------------------
@@ -65,18 +67,18 @@ def rest_to_rest(amplitude, turns, duration=2.0, rate=250.0):
     return time, q, qd, 0.5 * amplitude * w**2 * np.cos(phase)
 
 
-def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
+def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4, gravity=GRAVITY):
     """Joint motion from rest to rest with its exact torque: (time, q, qd, tau)."""
     turns = 1 + np.arange(n_joints) % 2
     time, q, qd, qdd = rest_to_rest(amplitude, turns, duration, rate)
-    return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
+    return time, q, qd, INERTIA * qdd + gravity * np.sin(q)
 
 
-def lifted_swing(angle, **options):
+def lifted_swing(angle, gravity=GRAVITY, **options):
     """The swing of two joints about an angle [rad], with the torque of gravity there [N m]."""
-    time, q, qd, tau = swing(2, **options)
+    time, q, qd, tau = swing(2, gravity=gravity, **options)
     lifted = q + angle
-    return time, lifted, qd, tau + GRAVITY * (np.sin(lifted) - np.sin(q))
+    return time, lifted, qd, tau + gravity * (np.sin(lifted) - np.sin(q))
 
 
 def map_line(name, can_id, master_id, *mounted):
@@ -129,6 +131,10 @@ class FaultyMotor(SimulatedMotor):
         false_status: status code that some of its answers have although it drives; None for none.
         false_every: every so many answers have it.
         stored: registers in flash.
+        writable: registers that it lets be written.
+        next_answers: data of its next states, in place of its own.
+        counts_commands: whether the temperature of its winding says how many it has had.
+        n_commands: number of commands that it has had.
     """
 
     silent: bool = False
@@ -148,6 +154,10 @@ class FaultyMotor(SimulatedMotor):
     false_status: int | None = None
     false_every: int = 10
     stored: dict = field(default_factory=dict)
+    writable: tuple[int, ...] = tuple(Register)
+    next_answers: list[bytes] = field(default_factory=list)
+    counts_commands: bool = False
+    n_commands: int = 0
     last_answer: bytes = b""
     ticked_at: float = 0.0
     n_answers: int = 0
@@ -168,7 +178,15 @@ class FaultyMotor(SimulatedMotor):
             return None
         return answer._replace(fd=self.registers.get(BIT_RATE, 0.0) > 4.0)
 
+    def _command_answer(self, data, time):
+        self.n_commands += 1
+        if self.counts_commands:
+            self.temperature_rotor = self.n_commands % 60
+        return super()._command_answer(data, time)
+
     def _feedback(self):
+        if self.next_answers:
+            return self.next_answers.pop(0)
         if self.is_stale and self.last_answer:
             return self.last_answer
         position = self.position + self.encoder_error + self.shift
@@ -200,7 +218,7 @@ class FaultyMotor(SimulatedMotor):
         if data[2] == protocol.STORE:
             self.stored = dict(self.registers)
             return data
-        if number in WRITABLE:
+        if number in self.writable:
             self.registers[number] = protocol.value_from_bytes(number, data[4:8])
         return data[:4] + protocol.bytes_from_value(number, self.registers[number])
 
@@ -213,17 +231,18 @@ def motor(joint, watchdog=0.1):
 
 
 class Pendulums:
-    """Independent pendulums: INERTIA qdd + GRAVITY sin(q) = torque."""
+    """Independent pendulums: INERTIA qdd + gravity sin(q) = torque."""
 
     timestep = 4e-3
 
-    def __init__(self, n_joints, q=None):
+    def __init__(self, n_joints, q=None, gravity=GRAVITY):
         self.n_joints = n_joints
+        self.gravity = gravity
         self.q = np.zeros(n_joints) if q is None else np.array(q, dtype=float)
         self.qd = np.zeros(n_joints)
 
     def step(self, torque, damping, h):
-        force = torque - GRAVITY * np.sin(self.q)
+        force = torque - self.gravity * np.sin(self.q)
         self.qd = (self.qd + h * force / INERTIA) / (1.0 + h * damping / INERTIA)
         self.q = self.q + h * self.qd
 
@@ -246,6 +265,11 @@ class FaultyArm(SimulatedArm):
         self.takes_whole_steps = False
         self._step = mechanism.step
         mechanism.step = self._step_truly
+
+    def mount(self):
+        """Mount the motors as their joints say now."""
+        motors = self.motors[: self.mechanism.n_joints]
+        self._mounting = Mounting.of([motor.joint for motor in motors])
 
     def advance(self, until):
         if self.takes_whole_steps and self._was_enabled:
@@ -322,7 +346,7 @@ class Damage:
     def __call__(self, run):
         run.bus.damage = self
 
-    def damaged(self, frame, position_limit):
+    def apply(self, frame, position_limit):
         """Return a motor's frame as it comes, by its PMAX [rad]; ValueError where it is none."""
         line = f"t{frame.id:03X}8{frame.data.hex().upper()}"
         if self.field == "text":
@@ -353,12 +377,14 @@ class FaultyBus(SimulatedLink):
     Attributes:
         delay: returns by how much the next answer is late [s]; none overtakes another.
         loses: returns whether the next answer is lost.
+        route: returns what becomes of a frame: itself, another one, or None where it is lost.
         damage: what happens to the next answer of its joint; None once it has happened.
         is_off: whether it takes no frames, because the adapter has switched itself off.
     """
 
     delay = None
     loses = None
+    route = None
     damage = None
     is_off = False
     _last_arrival = 0.0
@@ -372,6 +398,10 @@ class FaultyBus(SimulatedLink):
         if is_seen:
             self._deliver(frame._replace(time=self._free_at))
 
+    def talk(self, begin, frame):
+        """Let somebody send a frame from a moment on [s] at which the bus is free."""
+        heapq.heappush(self._replies, (begin, frame.id, next(self._order), frame))
+
     def send(self, frame):
         if self.is_off:
             raise LinkError("the CAN bus takes no more frames")
@@ -384,6 +414,10 @@ class FaultyBus(SimulatedLink):
         return None
 
     def _deliver(self, frame):
+        if self.route is not None:
+            frame = self.route(frame)
+            if frame is None:
+                return
         if self.loses is not None and not frame.echo and self.loses():
             return
         if self.delay is not None and not frame.echo:
@@ -394,7 +428,7 @@ class FaultyBus(SimulatedLink):
             self.damage = None
             limit = self.arm.motors[damage.joint].joint.spec.limits[0]
             try:
-                frame = damage.damaged(frame, limit)
+                frame = damage.apply(frame, limit)
             except ValueError:
                 # As ``BusLink`` does, pass over a line that is no frame.
                 return
@@ -435,21 +469,21 @@ def fault(joint, **values):
     return Fault(joint, values)
 
 
-def restarted(joint, seconds, shift=0.0):
+def restart_motor(joint, seconds, shift=0.0):
     """Return the cause that lets a motor start again, silent for so long [s].
 
     Its position is then another one by ``shift`` [rad], which may be a function of the motor.
     """
     off = fault(joint, status=protocol.DISABLED, silent=True, shift=shift)
-    return both(off, later(seconds, fault(joint, silent=False)))
+    return combine_causes(off, delay_cause(seconds, fault(joint, silent=False)))
 
 
-def later(seconds, cause):
+def delay_cause(seconds, cause):
     """Return the cause that lets another one happen so many seconds later."""
     return lambda rig: rig.at(seconds, lambda: cause(rig))
 
 
-def both(*causes):
+def combine_causes(*causes):
     """Return the cause of several ones at once."""
     return lambda rig: [cause(rig) for cause in causes]
 
@@ -487,7 +521,7 @@ def state(position=0.0, velocity=0.0, torque=0.0, status=1, mos=30, rotor=30):
     return Feedback(*np.broadcast_arrays(*fields))
 
 
-def undoubted(answered, time, feedback, requested, command=None):
+def undoubted_replies(answered, time, feedback, requested, command=None):
     """Replies in a cycle in which nothing was doubted, surplus or foreign."""
     no_count = np.zeros(len(answered), int)
     none = no_count != 0
@@ -541,7 +575,7 @@ class MotorBus:
     def mount(self, j, **mounting):
         """Mount a joint's motor in another way; no program knows it."""
         self.motors[j].joint = replace(self.motors[j].joint, **mounting)
-        self.arm._mounting = Mounting.of([motor.joint for motor in self.motors])
+        self.arm.mount()
 
     def at(self, delay, action):
         """Do something some time [s] from now."""
@@ -607,8 +641,28 @@ class MotorRun(MotorBus):
         return self
 
 
+class RecordingFile:
+    """A file that takes nothing more once its disk is full; ``is_full`` tells whether it is."""
+
+    def __init__(self, file, is_full):
+        self._file = file
+        self._is_full = is_full
+
+    def write(self, text):
+        if self._is_full():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return self._file.write(text)
+
+    def close(self):
+        self._file.close()
+
+
 class Rig(MotorRun):
-    """Plays a swing on pendulums and records it; ``faults`` are there from the beginning."""
+    """Plays a swing on pendulums and records it; ``faults`` are there from the beginning.
+
+    Attributes:
+        disk_is_full: whether the disk of the recording takes nothing more.
+    """
 
     def __init__(
         self,
@@ -619,8 +673,10 @@ class Rig(MotorRun):
         motion=None,
         name="measured",
         extra_motors=(),
+        gravity=GRAVITY,
         **settings,
     ):
+        self.disk_is_full = False
         trajectory = trajectory_file(folder, motion or swing(n_joints, duration=1.0))
         self.record_path = folder / f"{name}.csv"
         quick = {
@@ -634,11 +690,22 @@ class Rig(MotorRun):
             PlaySettings(**{**quick, **settings}),
             recording=RecordingOptions(self.record_path),
         )
-        pendulums = Pendulums(trajectory.n_joints, start)
+        pendulums = Pendulums(trajectory.n_joints, start, gravity)
         super().__init__(plan, pendulums, extra_motors=extra_motors)
         for cause in faults:
             cause(self)
         self.states_before = self.states()
+
+    def run(self, settle=0.5):
+        """Play on a disk that may become full, see ``MotorRun.run``."""
+        with mock.patch.object(builtins, "open", partial(self._open, open)):
+            return super().run(settle)
+
+    def _open(self, open_file, path, *arguments, **options):
+        file = open_file(path, *arguments, **options)
+        if path != self.record_path:
+            return file
+        return RecordingFile(file, lambda: self.disk_is_full)
 
     def span(self, phase):
         """Return from when to when a phase went on [s]; both are infinite where it never began."""
@@ -667,8 +734,11 @@ class Rig(MotorRun):
         assert self.states() == self.states_before
         assert only_asks(self.wire.sent)
 
-    def assert_stopped(self, cause, states=None):
-        """The run ended with this cause, all motors in these states, nothing harmful was sent."""
+    def assert_stopped(self, cause, states=None, is_recorded=True):
+        """The run ended with this cause, all motors in these states, nothing harmful was sent.
+
+        If ``is_recorded``, every answer that came is in the recording.
+        """
         assert self.error is not None and cause in str(self.error), self.error
         assert "\n" not in str(self.error) and self.error.exit_code == 3
         expected = [protocol.DISABLED] * len(self.arm.motors)
@@ -676,7 +746,8 @@ class Rig(MotorRun):
             expected[joint] = code
         assert self.states() == expected
         self.assert_harmless()
-        self.assert_nothing_lost()
+        if is_recorded:
+            self.assert_nothing_lost()
 
     def assert_played(self):
         """The run was played to its end, all motors are disabled; return the recording."""

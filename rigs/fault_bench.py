@@ -1,9 +1,9 @@
 """Whole runs of an arm's model on simulated motors, in simulated time, with a fault in them.
 
 Each run is compared with an undisturbed one of the same set-up: ``departure`` says how far a joint
-got from the path that it would have taken. The table of what may go wrong says how far joints may
-get, and what has to be said; benchmarks/motor_faults.md shows what ``benchmarks/motor_faults.py``
-makes of it.
+got from the path that it would have taken. The table of incidents (``rigs.incidents``) says how far
+joints may get, and what has to be said; benchmarks/motor_faults.md shows what
+``benchmarks/motor_faults.py`` makes of it.
 """
 
 from __future__ import annotations
@@ -21,21 +21,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from rigs.damiao_rig import (
-    Damage,
-    MotorRun,
-    fault,
-    later,
-    mit_command,
-    motor,
-    trajectory_of,
-)
+from rigs.damiao_rig import Damage, MotorRun, fault, trajectory_of
+from rigs.motor_causes import JAMMED, lost_motor
 from rigs.places import GUESS, TRUTH
 from rigs.wrong_arms import resting_torque
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.checks.model import with_weight_of
 from robot_sysid.damiao.joints import motor_spec
-from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
+from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.safety.holding import gravity_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
@@ -63,7 +56,6 @@ MOTOR_TYPES = ["DM8009", "DM10010L", "DM8009", "DM8009", "DM4340", "DM4340", "DM
 SHOULDERS = {"DM10010L": (20.0, 33.0), "DM8009": (20.0, 33.0), "DM4340": (12.4, 12.8)}
 """Motors of the shoulder: least and most gravity on it in poses that count as loaded [N m]."""
 SHOULDER = 1
-WRIST = 5
 
 
 @dataclass(frozen=True)
@@ -220,6 +212,7 @@ class Case:
         after: when, after the phase has begun [s].
         patience: how long after that a run that nothing stops is ended [s]; None plays on. It is
             the same for all cases of a set-up.
+        endings: ways in which its run may end, see ``Outcome``.
     """
 
     name: str
@@ -231,6 +224,7 @@ class Case:
     phase: str = "playing"
     after: float = 1.5
     patience: float | None = None
+    endings: tuple[str, ...] = ("stopped",)
 
     @property
     def joint(self):
@@ -240,8 +234,8 @@ class Case:
 
 def energy_of(mechanism, q, qd):
     """Return the mechanical energy (N,) [J] of an arm at positions and velocities (N, n)."""
-    robot = mechanism._robot
-    model = mechanism._model
+    robot = mechanism.robot
+    model = mechanism.model
     data = mujoco.MjData(model)
     data.qpos[:] = robot.reference_qpos
     energy = []
@@ -260,6 +254,9 @@ class BenchRun(MotorRun):
 
     Each case goes on in a process of its own from where its fault begins, so that what comes before
     is computed once; the run itself stays undisturbed.
+
+    Attributes:
+        onset: when what counts begins [s]; before a case's fault, 0.
     """
 
     def __init__(self, setup, cases=(), folder=None, jobs=2):
@@ -280,7 +277,7 @@ class BenchRun(MotorRun):
         self._jobs = jobs
         self._children = set()
         self._case_number = None
-        self._onset = 0.0
+        self.onset = 0.0
 
     def play(self):
         """Play the plan; return the undisturbed record and those of the cases, by their number."""
@@ -321,7 +318,7 @@ class BenchRun(MotorRun):
                 self.at(case.patience + CLEAN_MARGIN, self._end)
             return
         self._case_number = number
-        self._onset = self.clock.now()
+        self.onset = self.clock.now()
         case.cause(self)
         if case.patience is not None:
             self.at(case.patience, self._end)
@@ -335,12 +332,12 @@ class BenchRun(MotorRun):
         if self.bus.damage is not None:
             error = "Error: no frame was damaged"
         times, q, qd = map(np.array, zip(*self.arm.truth))
-        since = np.searchsorted(times, self._onset - 0.01)
+        since = np.searchsorted(times, self.onset - 0.01)
         energy = energy_of(self.arm.mechanism, q[since::20], qd[since::20])
         disable = protocol.special_frame(protocol.DISABLE, 0).data
         disabled = [frame.time for frame in self.wire.sent if frame.data == disable]
         return RunRecord(
-            self._onset,
+            self.onset,
             times[since:],
             q[since:],
             qd[since:],
@@ -380,7 +377,7 @@ def outcomes_of(cases, jobs=2):
             run = BenchRun(setup, setup_cases, Path(folder), jobs)
             clean = run.play()
             for number, case in enumerate(setup_cases):
-                yield judged_outcome(case, run.record_of(number), clean)
+                yield judge_outcome(case, run.record_of(number), clean)
 
 
 @dataclass(frozen=True)
@@ -500,7 +497,7 @@ def _ending(record):
     return "refused" if record.error else "completed"
 
 
-def judged_outcome(case, record, clean):
+def judge_outcome(case, record, clean):
     """Return what came of a case, by its record and that of the undisturbed run."""
     # The player stops at errors of the bench, too.
     assert "Error: " not in record.error, record.error
@@ -543,153 +540,7 @@ def judged_outcome(case, record, clean):
     )
 
 
-# --- what may go wrong ----------------------------------------------------------------------------
-
-_FOREIGN_PERIOD = 0.01
-UNDER_VOLTAGE = 0x9
-JAMMED = 1e5
-"""Damping of a joint that is jammed [N m s/rad]."""
-
-
-def lost_motor(joint):
-    """Return the fault of a motor without supply: it is silent, and its windings are open."""
-    return fault(joint, silent=True, brake=0.0, torque_share=0.0)
-
-
-@dataclass(frozen=True)
-class SecondMotor:
-    """Another motor with the same id comes alive, elsewhere by an angle [rad].
-
-    It answers before the first one, or after it.
-    """
-
-    joint: int
-    angle: float = 0.7
-    status: int = ENABLED
-    is_first: bool = True
-
-    def __call__(self, run):
-        twin = motor(run.motors[self.joint].joint)
-        twin.status = self.status
-        twin.position = run.motors[self.joint].position + self.angle
-        # Its watchdog has heard something just now.
-        twin.fed_at = run.clock.now()
-        run.arm.motors.append(twin)
-        if self.is_first:
-            answers = run.arm.answers
-            run.arm.answers = lambda *frame: answers(*frame)[::-1]
-
-
-@dataclass(frozen=True)
-class SecondMaster:
-    """Another computer commands one motor to a place an angle [rad] away, 100 times a second."""
-
-    joint: int
-    is_seen: bool = True
-    angle: float = 0.5
-
-    def __call__(self, run):
-        self._send(run, run.arm.mechanism.q[self.joint] + self.angle)
-
-    def _send(self, run, target):
-        joint = run.motors[self.joint].joint
-        scaling = protocol.Scaling([joint.spec.limits])
-        data = protocol.encode_mit(mit_command(target, kp=60.0), scaling)[0].tobytes()
-        run.bus.send_foreign(protocol.CanFrame(joint.can_id, data), self.is_seen)
-        run.at(_FOREIGN_PERIOD, partial(self._send, run, target))
-
-
-@dataclass(frozen=True)
-class SaggingSupply:
-    """The supply of all motors sags to 40 % within a second; after two, one reports it."""
-
-    joint: int
-
-    def __call__(self, run):
-        for tenth in range(10):
-            run.at(0.1 * tenth, partial(self._sag, run))
-        later(2.0, fault(self.joint, status=UNDER_VOLTAGE))(run)
-
-    def _sag(self, run):
-        for weak in run.motors:
-            weak.peak_torque *= 0.4**0.1
-
-
-def grip_mass(run):
-    """The terminal link takes up 3 kg."""
-    model = run.arm.mechanism._model
-    model.body_mass[run.arm.mechanism._robot.body_id] += 3.0
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
-def push(run):
-    """Somebody pushes the terminal link sideways, with 60 N for 0.3 s."""
-    mechanism = run.arm.mechanism
-    robot = mechanism._robot
-    data = mechanism._data
-    torque = np.zeros(mechanism._model.nv)
-    force = np.array([0.0, 36.0, -48.0])
-    tip = data.xipos[robot.body_id]
-    mujoco.mj_applyFT(
-        mechanism._model, data, force, np.zeros(3), tip, robot.body_id, torque
-    )
-    run.arm.push = torque[robot.dof_index]
-    run.at(0.3, lambda: setattr(run.arm, "push", 0.0))
-
-
-AT_START = {"phase": "", "after": 0.0}
-OTHERS = "others departure"
-SECOND = "a second motor has its id"
-FOREIGN = "gets commands of another program"
-UNSEEN = "another program commands it"
-SHIFTED = "position: it reports"
-DIFFERS = "torque: it reports"
-NEEDS = "torque: it needs"
-SPEED = "speed: its positions change by"
-UNANSWERED = "did not answer in time"
-REPEATS = "rad again and again"
-shoulder = partial(fault, SHOULDER)
-wrist = partial(fault, WRIST)
-
-
-def _position(hit):
-    return hit.position
-
-
-CASES = (
-    Case("motor makes half its torque", shoulder(torque_share=0.5), NEEDS),
-    Case("motor makes 0.6 of its torque, at kp 500", shoulder(torque_share=0.6), ""),
-    Case("motor makes half and says so", shoulder(torque_share=0.5, torque_factor=0.5), DIFFERS),
-    Case("motor lost", lost_motor(SHOULDER), UNANSWERED, quantity=OTHERS),
-    Case("motor reports a fault", shoulder(status=0xA), "reports status A", quantity=OTHERS),
-    Case("second motor of the same id, wrist", SecondMotor(WRIST), SECOND),
-    Case("second motor of the same id, shoulder", SecondMotor(SHOULDER), SECOND),
-    Case("second motor that answers last", SecondMotor(WRIST, is_first=False), SECOND),
-    Case("second motor that is disabled", SecondMotor(WRIST, status=DISABLED), SECOND),
-    Case("second master, wrist", SecondMaster(WRIST), FOREIGN),
-    Case("second master, not seen", SecondMaster(WRIST, is_seen=False), UNSEEN),
-    Case("second master, shoulder", SecondMaster(SHOULDER), FOREIGN),
-    Case("encoder frozen, shoulder", shoulder(frozen_encoder=_position), REPEATS),
-    Case("encoder frozen, wrist", wrist(frozen_encoder=_position), REPEATS),
-    Case("reported position frozen", shoulder(frozen_position=_position), REPEATS),
-    Case("gear slips 0.3 rad/s", shoulder(slip_rate=0.3), SHIFTED, bound=0.4),
-    Case(
-        "gear slips, velocity is the joint's", shoulder(slip_rate=0.3, slip_is_felt=False),
-        SPEED, bound=0.3,
-    ),
-    Case("gear of an unloaded wrist slips", wrist(slip_rate=0.25), SHIFTED, bound=0.7),
-    Case("stale answers", shoulder(is_stale=True), SPEED),
-    Case("velocity reversed", shoulder(velocity_factor=-1.0), SPEED),
-    Case("torque reversed", shoulder(torque_factor=-1.0), DIFFERS),
-    Case("supply sags", SaggingSupply(SHOULDER), "reports status 9", quantity=OTHERS),
-    Case("3 kg gripped", grip_mass, NEEDS),
-    Case("push of 60 N", push, NEEDS),
-    Case("joint jammed, shoulder", shoulder(jam_damping=JAMMED), REPEATS),
-    Case("joint jammed, wrist", wrist(jam_damping=JAMMED), REPEATS),
-    Case("answers lost", shoulder(lost_replies=True), UNANSWERED),
-    Case("zero 0.3 rad off", shoulder(encoder_error=0.3), SHIFTED, 0.35, **AT_START),
-    Case("zero -0.3 rad off", shoulder(encoder_error=-0.3), SHIFTED, 0.35, **AT_START),
-)  # fmt: skip
+# --- damaged frames, and an arm that is held ------------------------------------------------------
 
 DAMAGES = [
     *(("position", angle) for angle in (0.2, 0.78, 3.9)),
@@ -749,7 +600,7 @@ def _size(name, size, joint, random):
 def hold_cases():
     """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
     causes = {
-        f"weak motor, {share}": shoulder(torque_share=share)
+        f"weak motor, {share}": fault(SHOULDER, torque_share=share)
         for share in (0.5, 0.6, 0.7, 0.8)
     }
     causes["motor lost"] = lost_motor(SHOULDER)

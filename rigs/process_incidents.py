@@ -6,13 +6,12 @@ The program is ``robot-sysid motors play``; the arm is another process, behind a
 from __future__ import annotations
 
 import contextlib
-import resource
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +19,7 @@ import numpy as np
 
 from rigs.damiao_rig import trajectory_file
 from rigs.fault_bench import RunRecord, departures
-from rigs.incidents import SMALL, SMALL_ARM
+from rigs.incident_arms import SMALL, SMALL_ARM
 from rigs.realtime_arm import arm_process
 
 PLAY = (sys.executable, "-m", "robot_sysid", "motors", "play")
@@ -35,12 +34,12 @@ SINKS = 0.5
 """How long the arm is watched after the program has ended [s]."""
 
 
-def sending(*numbers, apart=0.0):
+def send_signals(*names, apart=0.0):
     """Return what sends signals, a time apart [s]."""
 
     def act(player):
-        for number in numbers:
-            player.send_signal(number)
+        for name in names:
+            player.send_signal(getattr(signal, name))
             time.sleep(apart)
 
     return act
@@ -53,15 +52,19 @@ def close_console(player):
 
 def small_files_only():
     """Let no file grow beyond 20 kB, as on a disk that is full."""
+    # Unix only.
+    import resource
+
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 
 
 @dataclass(frozen=True)
-class Incident:
+class ProcessCase:
     """Something that happens to the program, and what has to come of it.
 
     Attributes:
+        name: of the incident.
         act: what happens; is called with the program's process.
         code: exit code; minus the number of the signal that killed it.
         words: of the message.
@@ -81,20 +84,7 @@ class Incident:
     brakes: bool = True
 
 
-UNDISTURBED = Incident("nothing", sending(), 0)
-STOPPED = sending(signal.SIGSTOP, signal.SIGCONT, apart=0.5)
-TWICE = sending(signal.SIGINT, signal.SIGINT, apart=0.25)
-INCIDENTS = (
-    Incident("stopped for 0.5 s", STOPPED, 3, LATE, brakes=False),
-    Incident("killed", sending(signal.SIGKILL), -9, off_within=0.4, brakes=False),
-    Incident("terminated", sending(signal.SIGTERM), 3, "stopped by SIGTERM"),
-    Incident("hung up", sending(signal.SIGHUP), 3, "stopped by SIGHUP"),
-    Incident("Ctrl-C", sending(signal.SIGINT), 3, "stopped by SIGINT"),
-    Incident("Ctrl-Z", sending(signal.SIGTSTP), 3, "stopped by SIGTSTP"),
-    Incident("Ctrl-C twice", TWICE, 3, "stopped by SIGINT", off_within=0.5, brakes=False),
-    Incident("console closed", close_console, 0, off_within=9.0),
-    Incident("full disk", sending(), 3, "cannot record", small_files_only, off_within=9.0),
-)  # fmt: skip
+UNDISTURBED = ProcessCase("nothing", send_signals(), 0)
 
 
 @dataclass(frozen=True)
@@ -109,7 +99,7 @@ class Result:
         words: all that it said.
     """
 
-    incident: Incident
+    incident: ProcessCase
     departure: float
     off_after: float
     end_speed: float
@@ -124,7 +114,7 @@ class Result:
         return [*lines, *errors][-1].replace("robot-sysid: error: ", "")
 
 
-def play(folder: Path, incident: Incident) -> tuple[RunRecord, int, str]:
+def play(folder: Path, incident: ProcessCase) -> tuple[RunRecord, int, str]:
     """Play while something happens; return the record, exit code and what was said.
 
     SystemExit where it is not played: a computer with other things to do answers too late.
@@ -146,6 +136,13 @@ def play(folder: Path, incident: Incident) -> tuple[RunRecord, int, str]:
         moments["onset"] = time.monotonic()
         incident.act(player)
 
+    def hear(line):
+        said.append(line)
+        if line.startswith("stopping"):
+            moments["stop"] = time.monotonic()
+        if line.startswith("playing"):
+            threading.Timer(BEGINS, act).start()
+
     with arm_process(watched) as (device, _):
         record = ["--record", str(folder / "measured.csv")]
         options = ["--rate", f"{RATE:g}", "--yes", "--accept-directions", *record]
@@ -158,16 +155,13 @@ def play(folder: Path, incident: Incident) -> tuple[RunRecord, int, str]:
         # A console that is closed meanwhile says nothing more.
         with contextlib.suppress(ValueError):
             for line in player.stdout:
-                said.append(line)
-                if line.startswith("stopping"):
-                    moments["stop"] = time.monotonic()
-                if line.startswith("playing"):
-                    threading.Timer(BEGINS, act).start()
+                hear(line)
         said.append(player.stderr.read())
         code = player.wait(PATIENCE)
         player.stdout.close()
         player.stderr.close()
         time.sleep(SINKS)
+
     now, enabled, *positions = np.loadtxt(truth).T
     since = now[np.argmax(enabled == len(positions))]
     is_off = (enabled == 0) & (now > since)
@@ -184,7 +178,7 @@ def play(folder: Path, incident: Incident) -> tuple[RunRecord, int, str]:
     return run, code, errors
 
 
-def results_of(folder: Path, incidents=INCIDENTS) -> Iterator[Result]:
+def results_of(folder: Path, incidents: Iterable[ProcessCase]) -> Iterator[Result]:
     """Yield what comes of incidents, beside an undisturbed run; files go into a new folder."""
     clean, _, _ = _play_in_time(folder, UNDISTURBED)
     for incident in incidents:
@@ -197,7 +191,7 @@ def results_of(folder: Path, incidents=INCIDENTS) -> Iterator[Result]:
         yield Result(incident, departure, off_after, end_speed, code, words)
 
 
-def _play_in_time(folder: Path, incident: Incident) -> tuple[RunRecord, int, str]:
+def _play_in_time(folder: Path, incident: ProcessCase) -> tuple[RunRecord, int, str]:
     """Play until a run was not spoilt by a busy computer, a few times at most."""
     for attempt in range(TRIES):
         with contextlib.suppress(SystemExit):

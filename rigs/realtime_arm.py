@@ -124,7 +124,7 @@ class ServiceReport:
     longest_delay: float = 0.0
 
 
-def serve(arm, link, clock, running):
+def serve(arm, link, clock, goes_on):
     """Simulate an arm in real time and answer the frames on a link; return how timely this was.
 
     A computer that is too slow makes the arm skip time instead of falling behind more and more.
@@ -133,7 +133,7 @@ def serve(arm, link, clock, running):
         arm: arm to simulate.
         link: link on which commands are received and answered.
         clock: clock of the link.
-        running: called in each cycle; the simulation ends when it returns False.
+        goes_on: called in each cycle; the simulation ends when it returns False.
     """
     report = ServiceReport()
     step = arm.mechanism.timestep
@@ -142,7 +142,7 @@ def serve(arm, link, clock, running):
         looked_at = clock.now()
         # Clock time at the arm's time zero; ``now`` is the clock time in the arm's time.
         start = looked_at - arm.time
-        while running():
+        while goes_on():
             # The waiting time begins now, so that there is some even where the physics are too
             # slow: a block with real-time priority has to wait now and then.
             frame = link.receive(clock.now() + patience)
@@ -201,14 +201,14 @@ def main():
     bus = BusLink(terminal, clock)
     truth = []
 
-    def running():
-        enabled = sum(motor.driving for motor in motors)
+    def goes_on():
+        enabled = sum(motor.drives for motor in motors)
         truth.append([clock.now(), enabled, *arm.mechanism.q])
         return not stop.reason
 
     with contextlib.closing(bus), stop.on_signals():
         print(f"--channel {device}", flush=True)
-        report = serve(arm, bus, clock, running)
+        report = serve(arm, bus, clock, goes_on)
     if options.truth is not None:
         np.savetxt(options.truth, truth)
     if report.left_out > 0.0:

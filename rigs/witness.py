@@ -123,14 +123,14 @@ def new_contacts(robot, plan, rate=500.0):
     at_rest = mujoco.MjData(model)
     at_rest.qpos[:] = robot.reference_qpos
     mujoco.mj_kinematics(model, at_rest)
-    resting = touching(model, at_rest)
+    resting = touching_pairs(model, at_rest)
     found = set()
     for data in _poses(robot, plan, rate):
-        found |= touching(model, data)
+        found |= touching_pairs(model, data)
     return found - resting
 
 
-def touching(model, data):
+def touching_pairs(model, data):
     """Return the pairs of body ids that touch and move against each other, frames being known."""
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)

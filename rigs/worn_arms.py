@@ -95,7 +95,7 @@ class WornSetUp(SetUp):
     @property
     def robot(self):
         """The model as the player has it."""
-        return _loaded(self.model, self.terminal)
+        return _load_robot(self.model, self.terminal)
 
     @property
     def is_at_hand(self):
@@ -137,7 +137,7 @@ WORN_ARMS = {
 
 
 @cache
-def _loaded(model, terminal):
+def _load_robot(model, terminal):
     if isinstance(model, str):
         return robot_of(model, terminal, max_velocity=1.5)
     return load_robot_model(model, joint=terminal, max_velocity=1.5)

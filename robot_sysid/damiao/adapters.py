@@ -70,6 +70,11 @@ SERIAL_ADAPTER = "damiao"
 # It is more than a busy computer makes a program wait (a cycle may be 20 ms late), and less than
 # motors on another bus can wait for their next command: watchdogs take 0.1 s or more.
 _SEND_TIMEOUT = 0.05
+_QUEUE_PATIENCE = 1.5e-3
+"""How long a frame is tried that the adapter's queue does not take [s]: a queue that is full for
+longer does not empty within a control cycle of 4 ms, and the other motors wait meanwhile."""
+_QUEUE_PAUSE = 2e-4
+"""Pause between two such tries [s]: about what a frame takes on a classic bus (0.135 ms)."""
 
 
 def import_can() -> Any:
@@ -125,20 +130,26 @@ class BusLink:
     def send(self, frame: CanFrame) -> None:
         """Send a frame; LinkError where the bus does not take it for 1.5 ms."""
         message = can_message(frame)
-        # A queue that is full for longer does not empty within a control cycle.
-        patience = self.clock.now() + 1.5e-3
-        while True:
-            try:
-                return self.bus.send(message, timeout=_SEND_TIMEOUT)
-            except (Exception, SystemExit) as error:
-                # Whatever a driver raises: the caller has to go on with the other motors.
-                if self.clock.now() >= patience:
-                    raise LinkError(
-                        f"the CAN bus does not take frames: {_driver_text(error)}; check the "
-                        "adapter, the motors' power, the wiring and the termination (60 ohm "
-                        "between the two wires)"
-                    ) from error
-            self.clock.sleep_until(self.clock.now() + 2e-4)
+        patience = self.clock.now() + _QUEUE_PATIENCE
+        while (error := self._try_to_send(message)) is not None:
+            if self.clock.now() >= patience:
+                raise LinkError(
+                    f"the CAN bus does not take frames: {_driver_text(error)}; check the adapter, "
+                    "the motors' power, the wiring and the termination (60 ohm between the two "
+                    "wires)"
+                ) from error
+            self.clock.sleep_until(self.clock.now() + _QUEUE_PAUSE)
+
+    def _try_to_send(self, message: Any) -> BaseException | None:
+        """Hand a message to the driver; return what it raises, or None once it has taken it.
+
+        Whatever a driver raises: the caller has to go on with the other motors.
+        """
+        try:
+            self.bus.send(message, timeout=_SEND_TIMEOUT)
+        except (Exception, SystemExit) as error:
+            return error
+        return None
 
     def receive(self, until: float) -> CanFrame | None:
         """Return the next data frame with a standard id; None if none came by ``until`` [s].
@@ -147,14 +158,7 @@ class BusLink:
         frame. LinkError where the bus cannot be read.
         """
         while True:
-            message = None
-            try:
-                with contextlib.suppress(ValueError, IndexError):
-                    message = self.bus.recv(max(until - self.clock.now(), 0.0))
-            except (Exception, SystemExit) as error:
-                raise LinkError(
-                    f"the CAN bus cannot be read: {_driver_text(error)}"
-                ) from error
+            message = self._next_message(max(until - self.clock.now(), 0.0))
             if message is None:
                 if self.clock.now() >= until:
                     return None
@@ -162,6 +166,20 @@ class BusLink:
                 self.error_frames += 1
             elif not message.is_extended_id:
                 return self._frame(message)
+
+    def _next_message(self, timeout: float) -> Any:
+        """Return python-can's next message, or None if none comes within ``timeout`` [s].
+
+        It is also None for a line that is no frame. LinkError where the bus cannot be read.
+        """
+        try:
+            return self.bus.recv(timeout)
+        except (ValueError, IndexError):
+            return None
+        except (Exception, SystemExit) as error:
+            raise LinkError(
+                f"the CAN bus cannot be read: {_driver_text(error)}"
+            ) from error
 
     def close(self) -> None:
         """Close the bus; a driver's exceptions are dropped: they would hide errors about motors."""
@@ -217,7 +235,7 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
         options[name] = can.util.cast_from_string(value)
     try:
         if interface == SERIAL_ADAPTER:
-            bus: Any = SerialAdapter(str(channel), **options)
+            bus: Any = SerialAdapter.open(str(channel), **options)
         else:
             bus = can.Bus(channel, interface, ignore_config=True, **options)
     except (Exception, SystemExit) as error:
@@ -232,6 +250,9 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
 
 # End of a line of slcan: a carriage return, or a bell where it refuses a command.
 _LINE_END = re.compile(rb"[\r\a]")
+_BYTE_TIMEOUT = 1e-3
+"""Time for which a serial port waits for a byte before it is asked again [s]: a quarter of a usual
+control cycle, so that a deadline is overshot by no more."""
 PACKET = re.compile(rb"\xaa.{14}\x55", re.DOTALL)
 """A packet from the maker's adapter."""
 
@@ -250,8 +271,7 @@ class SerialReader:
 
     def __init__(self, port: Any, end: re.Pattern[bytes]) -> None:
         # Setting a port's time-out takes long, so it is not set for each reading.
-        # Time for which the port waits for a byte before it is asked again [s].
-        port.timeout = 1e-3
+        port.timeout = _BYTE_TIMEOUT
         port.write_timeout = _SEND_TIMEOUT
         self._port = port
         self._end = end
@@ -291,15 +311,19 @@ class SerialAdapter:
     It has the methods of python-can's buses that ``BusLink`` calls.
 
     Args:
-        device: path of the serial port.
-        baudrate: speed of the serial line [bit/s].
+        port: the serial port, open.
     """
 
-    def __init__(self, device: str, baudrate: int = 921_600) -> None:
+    def __init__(self, port: Any) -> None:
+        self._port = port
+        self._read = SerialReader(port, PACKET)
+
+    @classmethod
+    def open(cls, device: str, baudrate: int = 921_600) -> SerialAdapter:
+        """Open the serial port at a path, with a speed [bit/s], and return the adapter at it."""
         import serial
 
-        self._port = serial.Serial(device, baudrate)
-        self._read = SerialReader(self._port, PACKET)
+        return cls(serial.Serial(device, baudrate))
 
     def send(self, message: Any, timeout: float) -> None:
         """Send a frame; the adapter does not report when the frame was on the bus."""

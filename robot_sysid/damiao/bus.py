@@ -36,6 +36,19 @@ from robot_sysid.damiao.protocol import (
 )
 from robot_sysid.errors import HardwareAbort, SysidError
 
+_BUSY_THREAD_TIME = 2e-4
+"""Time after which a busy thread of this program gives way to the control loop [s]: Python's own,
+5 ms, is longer than a control cycle."""
+_REFRESH_TIMEOUT = 0.1
+"""Longest wait for the answers of all motors, requested at once [s]: later ones are of no use to a
+control loop, and a watchdog of the usual length has ended by then."""
+_ANSWER_TIMEOUT = 0.03
+"""Longest wait for the answer to a single request before a run [s]: twice the delay of a slow
+adapter, 16 ms."""
+_LISTENING_TIME = 0.05
+"""How long is listened for frames that nobody requested [s]: it shows programs that send at 40 Hz
+or more."""
+
 
 class SystemClock:
     """The computer's monotonic clock; ``live`` is whether time passes while this program runs."""
@@ -139,8 +152,7 @@ def undisturbed_processor(live: bool = True) -> Iterator[None]:
     switch_interval = sys.getswitchinterval()
     gc.collect()
     gc.disable()
-    # Time after which a busy thread gives way [s]; Python's default is longer than a control cycle.
-    sys.setswitchinterval(2e-4)
+    sys.setswitchinterval(_BUSY_THREAD_TIME)
     takes_priority = (
         live and sys.platform == "linux" and os.sched_getscheduler(0) == os.SCHED_OTHER
     )
@@ -241,8 +253,7 @@ class RegisterClient:
             self.link.send(register_frame(REFRESH, can_id))
         seconds = dict.fromkeys(reply_ids, np.nan)
         missing = set(reply_ids.values())
-        # Later answers are useless to a control loop.
-        until = start + 0.1
+        until = start + _REFRESH_TIMEOUT
         while missing and (frame := self.link.receive(until)) is not None:
             if frame.echo or frame.id not in missing:
                 continue
@@ -274,8 +285,7 @@ class RegisterClient:
         for _ in range(3):
             self.link.drain()
             self.link.send(request)
-            # Twice the delay of a slow adapter (16 ms).
-            until = self.link.clock.now() + 0.03
+            until = self.link.clock.now() + _ANSWER_TIMEOUT
             is_answered = False
             while frame := self.link.receive(until):
                 if not frame.echo and len(frame.data) == 8 and is_answer(frame):
@@ -355,8 +365,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
     No motor is enabled or changed.
     """
     error_frames = link.error_frames
-    # Shows programs that send at 40 Hz or more.
-    until = link.clock.now() + 0.05
+    until = link.clock.now() + _LISTENING_TIME
     unsolicited = 0
     while (frame := link.receive(until)) is not None:
         unsolicited += not frame.echo

@@ -93,6 +93,14 @@ SIMULATED_OPTIONS: list[Option] = [
 """Options of the simulated arm of a run."""
 # Seed of the simulated arm, so that the same command writes the same recording.
 _USUAL_ARM = 0
+# How far a joint that is to be held may be from where it was inspected [rad]: the arm stays there.
+# With more, an arm that somebody has moved meanwhile would be moved back.
+_HELD_TOLERANCE = 0.05
+# Timeout of a simulated motor's watchdog [s]: as docs/damiao.md recommends for real motors; and in
+# control cycles, where those are slow: two waits for a missing answer, of ``PAUSE`` + 1 cycles
+# each, and two more.
+_SIMULATED_WATCHDOG = 0.1
+_WATCHDOG_CYCLES = 12.0
 # What an inspection finds where there are no motors.
 _NOTHING = Inspection({}, 0, np.nan)
 
@@ -173,8 +181,7 @@ class MotorRun:
         trajectory = DamiaoTrajectory(
             Path("hold"), joints, time, still + pose, still, still + torque
         )
-        # The arm stays where it was inspected.
-        return self._plan_of(trajectory, start_tolerance=0.05)
+        return self._plan_of(trajectory, start_tolerance=_HELD_TOLERANCE)
 
     def _plan_of(self, trajectory: DamiaoTrajectory, **settings: Any) -> Plan:
         """Return the plan of a trajectory, with its joints mapped; ``settings`` are no options."""
@@ -293,8 +300,7 @@ class MotorRun:
             mesh_dir = record_from(ModelOptions, self.values).mesh_dir
             robot = load_plant(self.robot, plant, mesh_dir)
 
-        # As docs/damiao.md recommends for real motors, and long enough for slow cycles, too.
-        watchdog = max(0.1, 12.0 * plan.settings.period)
+        watchdog = max(_SIMULATED_WATCHDOG, _WATCHDOG_CYCLES * plan.settings.period)
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
         stepper = ArmStepper(robot, plan.trajectory.q[0])
         clock = SimulatedClock()

@@ -32,6 +32,15 @@ LAST = 0.5
 """Time at the end from which the drift is measured [s]."""
 AT_END = 0.02
 """Distance from an end of its range at which a joint is held by its stop, perhaps [rad]."""
+MEAN_TIME = 0.25
+"""Time constant of the mean position of an arm that settles [s]. With less, the stiffness would
+take the torque of the arm's last swing with it; with more, where the arm came from would count,
+which an eighth of ``SETTLING`` forgets."""
+LEAST_SAMPLES = 5
+"""Least number of samples that a drift is measured from: three make a parabola."""
+SLOWEST_DRIFT = 0.1
+"""Slowest drift that is told from standing [deg/s]: more than two steps of a position in half a
+second."""
 _NOT_SHOWN = "the test does not show its gravity"
 
 
@@ -58,7 +67,7 @@ class Floating(Follower):
         self._settings = plan.settings
         self._carries = carries
         self.duration = SETTLING + FADE + plan.duration
-        n_samples = max(round(LAST / plan.settings.period), 5)
+        n_samples = max(round(LAST / plan.settings.period), LEAST_SAMPLES)
         self.samples: deque[tuple[float, Array]] = deque(maxlen=n_samples)
         # Number of cycles in a row in which each joint was too fast.
         self._fast = np.zeros(plan.trajectory.n_joints, int)
@@ -68,7 +77,7 @@ class Floating(Follower):
         """Take the reference in which the arm stands, and return this reference."""
         self._limits = self._plan.command_limits.including(standing.position)
         self._position = standing.position
-        # Last believed positions of the joints, their means over a quarter of a second, and those
+        # Last believed positions of the joints, their means over ``MEAN_TIME``, and those
         # from which they float (n,) each [rad].
         self._q = self._mean = self._first = standing.position
         self._offset = 0.0 * standing.position
@@ -80,7 +89,7 @@ class Floating(Follower):
         self._qd = qd
         since = self._time - SETTLING
         if since < 0.0:
-            share = min(self._settings.period / 0.25, 1.0)
+            share = min(self._settings.period / MEAN_TIME, 1.0)
             self._mean = self._mean + share * (self._q - self._mean)
             # Stiffness takes its mean torque with it, not that of the arm's last swing.
             self._offset = self._position - self._mean
@@ -194,13 +203,12 @@ def measure_drift(
     from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 
     complete = [sample for sample in samples if np.all(np.isfinite(sample[1]))]
-    if len(complete) < 5:
+    if len(complete) < LEAST_SAMPLES:
         return []
     time, signals = map(np.array, zip(*complete))
     since = time - np.mean(time)
     half_acceleration, speed, middle = np.polyfit(since, signals[:, 0], 2)
-    # A tenth of a degree per second is more than two steps of a position in half a second.
-    moves = np.abs(speed) > np.radians(0.1)
+    moves = np.abs(speed) > np.radians(SLOWEST_DRIFT)
     # As it moves, and at rest.
     velocity = np.outer([1.0, 0.0], moves * speed)
     acceleration = np.outer([1.0, 0.0], moves * 2.0 * half_acceleration)

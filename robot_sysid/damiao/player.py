@@ -47,6 +47,25 @@ from robot_sysid.errors import (
 from robot_sysid.records import Array
 from robot_sysid.wording import option_name
 
+RISE_SHARE = 0.2
+"""Share of the ramp's time in which stiffness and torque rise: short, so that the arm does not sink
+under a load that nobody knows; in the rest of the time the standing arm is observed."""
+LEAST_RISE_STEPS = 4.0
+"""Number of cycles of that time at which they still rise step by step. In fewer, longer steps the
+arm would fall before it is held, so that all is there at once."""
+LONGEST_STOP = 2.0
+"""Time after which the motors are disabled although the arm has not come to rest [s]: twice what
+braking from 5 rad/s, a motor's no-load speed, and the rest after it take (a judgement)."""
+LONGEST_SILENCE = 0.15
+"""Time without any answer after which a stop has no effect any more [s]: by then the watchdogs (0.1
+s, plus half of that) have stopped the motors, or the bus has failed."""
+SAME_KEY_PRESS = 0.2
+"""Time within which a second interrupt is the same key press [s]: it may arrive twice, from the
+terminal and passed on by the program that started this one. A busy computer passes it on in less
+time; a person who presses twice takes longer."""
+_STATED_PERCENTILES = [50.0, 99.0]
+"""Percentiles of the cycles' delays that a report states."""
+
 
 class CycleTimer:
     """Waits for the cycles of a control loop; their deadlines are multiples of the period.
@@ -138,7 +157,7 @@ class PlayReport:
     is_as_expected: bool = True
 
     @property
-    def lost(self) -> Codes:
+    def n_lost(self) -> Codes:
         """Number (n,) of commands to which no answer came at all."""
         return np.maximum(self.missed - self.late - self.refused, 0)
 
@@ -230,7 +249,7 @@ class Player:
         """The run so far, also one that was stopped; None before the first cycle."""
         if self._reference is None:
             return None
-        p50, p99 = np.percentile(self._timer.lateness, [50.0, 99.0]).tolist()
+        p50, p99 = np.percentile(self._timer.lateness, _STATED_PERCENTILES).tolist()
         health = self._watch.health
         return PlayReport(
             self._n_recorded,
@@ -255,7 +274,7 @@ class Player:
         self._stop_if_asked()
         self._announce("enabling the motors")
         start = self._session.enable()
-        standing = Reference.resting(start, self._holding)
+        standing = Reference.at_rest(start, self._holding)
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         rising = Phase(stands=True, rises=True, settles=True)
@@ -357,11 +376,8 @@ class Player:
         command. If ``braking``, a command beyond the bounds is limited to them, not refused, and
         motors whose answers are missing are commanded too.
         """
-        # A share of the ramp: short, so that the arm does not sink; then the standing arm is
-        # observed.
-        n_steps = 0.2 * self._settings.ramp_time / self._settings.period
-        # In steps longer than that, the arm would fall.
-        rise = 1.0 / n_steps if n_steps > 4.0 else 1.0
+        n_steps = RISE_SHARE * self._settings.ramp_time / self._settings.period
+        rise = 1.0 / n_steps if n_steps > LEAST_RISE_STEPS else 1.0
         self._gain = min(self._gain + rise, 1.0)
         position, velocity, torque, *_ = reference
         kp = self._gain * np.array(self._settings.kp) * self._follower.stiffness
@@ -411,8 +427,7 @@ class Player:
             self._session.switch_off(self._watch.to_switch_off)
             self._watch.failed |= self._watch.to_switch_off
             carried = self._carry_from(self._reference)
-            # Then the arm is disabled even if it has not come to rest.
-            self._stop_phase(carried, 2.0)
+            self._stop_phase(carried, LONGEST_STOP)
             if self._settings.park is not None and not self._stop.insisted:
                 self._stop_phase(self._lower_from(carried.last), LONGEST_LOWERING)
 
@@ -455,7 +470,7 @@ class Player:
             stuck=watch.stuck,
             limits=self._session.limits,
             deviation=self._session.torque_deviation,
-            limp=is_loose | self._session.misled,
+            limp=is_loose | self._session.is_misled,
         )
 
     def _stop_phase(self, reference: Follower, duration: float) -> None:
@@ -468,9 +483,7 @@ class Player:
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
-            # By then the watchdogs (0.1 s, plus half of that) have stopped the motors, or the bus
-            # has failed.
-            silent = self._clock.now() - self._heard_at > 0.15
+            silent = self._clock.now() - self._heard_at > LONGEST_SILENCE
             # Where all motors have failed or are silent, commands have no effect any more.
             hopeless = silent or np.all(self._watch.failed)
             if hopeless or self._stop.insisted or reference.is_done:
@@ -493,14 +506,18 @@ class StopRequest:
     person (Ctrl-C) means "at once, even if the arm drops": hang-up and termination signals come in
     bursts when a terminal is closed or a computer shuts down.
 
+    Args:
+        now: returns the time by which interrupts are told apart [s].
+
     Attributes:
         reason: reason of the first request; "" before.
         insisted: whether the run has to end at once.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self.reason = ""
         self.insisted = False
+        self._now = now
         self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:
@@ -516,16 +533,13 @@ class StopRequest:
         return handle_stop_signals(self._handle, further=SUSPENSION)
 
     def _handle(self, number: int, frame: Any) -> None:
-        """Request a stop for a signal, at once for an interrupt over 0.2 s after the first one.
+        """Request a stop for a signal, at once for a second interrupt by another key press.
 
         ``number`` is the signal's number; ``frame`` is not used.
         """
         insists = False
         if number == signal.SIGINT:
-            now = time.monotonic()
+            now = self._now()
             self._interrupted_at = min(self._interrupted_at, now)
-            # One key press may arrive twice: from the terminal, and passed on by the program that
-            # started this one. A busy computer passes it on in less time; a person who presses
-            # twice takes longer.
-            insists = now - self._interrupted_at > 0.2
+            insists = now - self._interrupted_at > SAME_KEY_PRESS
         self(f"stopped by {signal.Signals(number).name}", insist=insists)

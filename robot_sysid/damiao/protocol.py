@@ -38,6 +38,11 @@ KD_MAX = 5.0
 KD_STEP = KD_MAX / 0xFFF
 """The least damping above zero that a command frame can carry [N m s/rad]."""
 
+_NIBBLE_END = 15.0
+"""Greatest code of a field of four bits: status, and lower half of the CAN id."""
+_BYTE_END = 255.0
+"""Greatest code of a field of a byte: each of the two temperatures [degC]."""
+
 
 class _Codec:
     """Converts F quantities to the bit fields of 64-bit frames, most significant first, and back.
@@ -103,7 +108,8 @@ class Scaling:
         self.command = _Codec((16, 12, 12, 12, 12), self.low, self.high)
         # Status, id and temperatures are their own codes.
         low = np.insert(-self.limits, [0, 0, 3, 3], 0.0, axis=1)
-        high = np.insert(self.limits, [0, 0, 3, 3], (15.0, 15.0, 255.0, 255.0), axis=1)
+        ends = (_NIBBLE_END, _NIBBLE_END, _BYTE_END, _BYTE_END)
+        high = np.insert(self.limits, [0, 0, 3, 3], ends, axis=1)
         self.feedback = _Codec((4, 4, 16, 12, 12, 8, 8), low, high)
 
     @property
@@ -408,6 +414,11 @@ PLANNING_LIMIT = 0.70
 
 A judgement: the rest is for error frames and for sending one frame in three again.
 """
+CLASSIC_RATE = 250.0
+"""Default control cycles per second on classic CAN [Hz]: seven motors take 40 to 47 % of such a
+bus."""
+FD_RATE = 500.0
+"""The same on CAN-FD [Hz]: seven motors take 36 to 40 % of it."""
 # Placeholder and condition of the bit rate options in the help text.
 _BIT_RATE = "RATE [bit/s] > 0"
 
@@ -449,9 +460,9 @@ def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
 def default_rate(n_motors: int, timing: BusTiming) -> float:
     """Return the default cycle rate [Hz] of n motors on a bus.
 
-    It is 250 (classic) or 500 (FD), or less where that would load the bus to more than 70 %.
+    It is that of the frame format, or less where that would load the bus beyond ``PLANNING_LIMIT``.
     """
-    max_rate = 500.0 if timing.fd else 250.0
+    max_rate = FD_RATE if timing.fd else CLASSIC_RATE
     full_rate = PLANNING_LIMIT / bus_load(n_motors, rate=1.0, timing=timing)
     return handy_rate(min(full_rate, max_rate))
 

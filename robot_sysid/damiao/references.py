@@ -35,7 +35,7 @@ class Reference(NamedTuple):
     weight_error: Array = UNKNOWN
 
     @classmethod
-    def resting(cls, position: Array, holding: HoldingTorque) -> Reference:
+    def at_rest(cls, position: Array, holding: HoldingTorque) -> Reference:
         """Return the state of an arm at rest in a pose (n,) [rad] that its weight is fed in."""
         weight = holding.torque(position)
         still = np.zeros_like(position)
@@ -52,8 +52,8 @@ def trajectory_reference(
     """Return a trajectory, interpolated between its rows, as a function of time.
 
     The feed-forward torque is what the motion needs at the speed at which it is played, see
-    ``DamiaoTrajectory.needed``: never the model's friction, which other arms of the type do not
-    have, and which would push a joint that turns round or stands.
+    ``DamiaoTrajectory.needed_torque``: never the model's friction, which other arms of the type do
+    not have, and which would push a joint that turns round or stands.
 
     Args:
         trajectory: trajectory with at least two rows.
@@ -63,8 +63,8 @@ def trajectory_reference(
     def reference(time: float) -> Reference:
         """Return the trajectory's state at ``time`` [s] of playing since its first row."""
         moment = np.array(time * speed)
-        position, velocity, _ = trajectory.sampled(moment)
-        needed = trajectory.needed(moment, speed)
+        position, velocity, _ = trajectory.state_at(moment)
+        needed = trajectory.needed_torque(moment, speed)
         return Reference(position, velocity * speed, *needed)
 
     return reference

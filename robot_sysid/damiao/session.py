@@ -59,6 +59,19 @@ PAUSE = 4
 It is 16 ms at 250 Hz, the largest delay that has been observed with a slow adapter.
 """
 
+_LONGEST_GAP = 0.2
+"""Longest time since the last command in which a reference may have moved on [s]. Watchdogs of the
+usual length have ended by then; with more, one command could send a joint far at once."""
+_LATEST_MOVE = 0.02
+"""Longest time that one command leaves for the next one to move in [s]: as much as it may be late,
+by ``PlaySettings.max_lateness``."""
+_SAME_POSITION = 0.02
+"""By how much two answers of an arm that is not driven yet may disagree about its position [rad]:
+it stands, or sinks slowly, and a damaged answer is off by more."""
+_DISABLE_PATIENCE = 0.5
+"""How long motors are told again to disable until they have confirmed it [s]: a bus that fails may
+work again by then."""
+
 
 class Outstanding:
     """Assigns answers to the commands of n motors, although answers carry no number.
@@ -204,9 +217,9 @@ class MotorSession:
         return self._filter.last.torque_error
 
     @property
-    def misled(self) -> Mask:
+    def is_misled(self) -> Mask:
         """Whether each motor's own control (n,) uses a position that was refused."""
-        return self._filter.misled
+        return self._filter.is_misled
 
     @property
     def error_frames(self) -> int:
@@ -258,8 +271,7 @@ class MotorSession:
         for _ in range(3):
             last_status = state.status
             state = self._request(partial(special_frame, ENABLE))
-            # The arm is not driven yet.
-            agrees = np.abs(state.position - position) <= 0.02
+            agrees = np.abs(state.position - position) <= _SAME_POSITION
             is_settled = is_enabled | np.isnan(state.position)
             position = np.where(is_settled, position, state.position)
             is_enabled |= (state.status == ENABLED) & agrees
@@ -316,10 +328,9 @@ class MotorSession:
         while (frame := self._link.receive(self.clock.now())) is not None:
             self._answering_joint(frame)
         now = self.clock.now()
-        # At most 0.2 s. It includes time that the last command did not use: after a cycle that
-        # began late, the next one follows in less time than there is between two positions of the
-        # trajectory.
-        elapsed = np.minimum(now - self._moved_until, 0.2)
+        # It includes time that the last command did not use: after a cycle that began late, the
+        # next one follows in less time than there is between two positions of the trajectory.
+        elapsed = np.minimum(now - self._moved_until, _LONGEST_GAP)
         q = self.position_now
         allowed = confine(command, self.limits, self.sent_position, elapsed, q)
         if braking:
@@ -369,9 +380,7 @@ class MotorSession:
         )
         moved = np.abs(new.position - self.sent_position)
         used = moved / self.limits.velocity
-        # One command leaves at most 0.02 s for the next one to move in: as much as it may be late,
-        # by ``PlaySettings.max_lateness``.
-        moved_until = np.clip(self._moved_until + used, now - 0.02, now)
+        moved_until = np.clip(self._moved_until + used, now - _LATEST_MOVE, now)
         self._moved_until = np.where(commanded, moved_until, self._moved_until)
         self.sent_position = np.where(commanded, new.position, self.sent_position)
 
@@ -393,8 +402,7 @@ class MotorSession:
         for _ in range(5):
             self.switch_off(running)
             self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
-        # A bus that fails may work again by then.
-        patience = self.clock.now() + 0.5
+        patience = self.clock.now() + _DISABLE_PATIENCE
         while np.any(running) and self.clock.now() < patience:
             try:
                 self._link.drain()

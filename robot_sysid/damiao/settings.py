@@ -33,7 +33,7 @@ from robot_sysid.wording import option_name
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
 
 
-def _within(least: float, most: float, unit: str) -> Check:
+def _range_check(least: float, most: float, unit: str) -> Check:
     """Return the check of a gain that frames can carry from ``least`` to ``most``."""
     problem = f"must be from {least:.2g} to {most:g} {unit}"
     return lambda gain: None if least <= gain <= most else problem
@@ -52,6 +52,23 @@ LEAST_FADING = 1e-9
 """Stiffness that stands for none where it is divided by [N m/rad]."""
 LEAST_STIFFNESS = 1.0
 """Stiffness below which an arm counts as limp [N m/rad]."""
+
+STIFFNESS_PER_TORQUE = 20.0
+"""Default stiffness over a motor's rated torque [1/rad]. Makers of arms with these motors use a
+stiffness of 240 N m/rad and a damping of 5 N m s/rad for motors with a rated torque of 9 N m, 10
+and 1.5 for 3 N m; the defaults are between these."""
+DAMPING_PER_STIFFNESS = 0.025
+"""Default damping over stiffness [s]: between 0.02 and 0.15 of the same arms."""
+LEAST_DAMPING_SHARE = 0.4
+"""Least share of the default damping that a light joint keeps, as models often lack rotor
+inertia."""
+LEAST_DAMPING = 0.05
+"""Least default damping of any joint [N m s/rad]: motors with stiffness alone oscillate."""
+PEAK_ACCELERATION = 3.08
+"""Peak acceleration of a transfer, times its duration over its peak speed, rounded up: (10 /
+sqrt(3)) / (15 / 8) of the polynomial of ``references.transfer_reference``."""
+SPEED_MARGIN = 1.1
+"""Speed limit of commands over the largest speed in the trajectory: its rows are rounded."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +99,7 @@ class PlaySettings(OptionRecord):
         (),
         "stiffness, one for all or one per joint",
         "KP [N·m/rad]",
-        check=_within(0.0, KP_MAX, "N·m/rad"),
+        check=_range_check(0.0, KP_MAX, "N·m/rad"),
         **_BY_TYPE,
     )
     kd: tuple[float, ...] = option(
@@ -90,7 +107,7 @@ class PlaySettings(OptionRecord):
         "damping, one for all or one per joint",
         "KD [N·m·s/rad]",
         # With less a frame carries no damping at all, and the motor would ring.
-        check=_within(KD_STEP, KD_MAX, "N·m·s/rad"),
+        check=_range_check(KD_STEP, KD_MAX, "N·m·s/rad"),
         **_BY_TYPE,
     )
     rate: float | None = option(
@@ -170,13 +187,9 @@ class PlaySettings(OptionRecord):
         """
         rate = self.rate or default_rate(len(specs), timing)
         rated_torque = np.array([spec.rated_torque for spec in specs])
-        # Makers of arms with these motors use a stiffness of 240 N m/rad and a damping of 5 N m
-        # s/rad for motors with a rated torque of 9 N m, 10 and 1.5 for 3 N m; the defaults are
-        # between these.
-        stiffness = np.minimum(20.0 * rated_torque, KP_MAX)
-        damping = 0.025 * stiffness
-        # At least 0.4 of the usual, as models often lack rotor inertia, and 0.05 N m s/rad.
-        least_damping = np.maximum(0.4 * damping, 0.05)
+        stiffness = np.minimum(STIFFNESS_PER_TORQUE * rated_torque, KP_MAX)
+        damping = DAMPING_PER_STIFFNESS * stiffness
+        least_damping = np.maximum(LEAST_DAMPING_SHARE * damping, LEAST_DAMPING)
         if mobility is not None:
             # With more damping, a joint's velocity would settle in less than a cycle.
             damping = np.minimum(damping, rate / np.diag(mobility))
@@ -350,9 +363,7 @@ class Plan:
         stated = filter(None, (self.user_limits, self.model_limits))
         tightest = Limits.of(Limits(), *stated)
         speed = min(settings.approach_speed, np.min(tightest.velocity))
-        # The peak acceleration of a transfer is at most 3.08 times its peak speed over its least
-        # duration.
-        time = 3.08 * speed / np.min(tightest.acceleration)
+        time = PEAK_ACCELERATION * speed / np.min(tightest.acceleration)
         settings = replace(
             settings,
             approach_speed=speed,
@@ -387,8 +398,7 @@ class Plan:
         speeds = np.abs(np.vstack([self.trajectory.slopes, self.trajectory.qd]))
         peak_speed = self.settings.speed * speeds.max(axis=0)
         speed = np.maximum(peak_speed, self.settings.approach_speed)
-        # The trajectory's rows are rounded.
-        return Limits(ranges.lower, ranges.upper, 1.1 * speed)
+        return Limits(ranges.lower, ranges.upper, SPEED_MARGIN * speed)
 
 
 def joint_positions(joints: Sequence[DamiaoJoint], inspection: Inspection) -> Array:

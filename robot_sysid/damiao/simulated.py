@@ -51,6 +51,9 @@ if TYPE_CHECKING:
 
 # Command without effect: position, velocity, kp, kd and torque are zero.
 _NOTHING = (0.0,) * 5
+# Time from the last bit of a command to the first one of its answer [s]: a third of a frame,
+# assumed.
+_TURNAROUND = 50e-6
 
 
 @dataclass
@@ -91,14 +94,14 @@ class SimulatedMotor:
         return int(self.registers[Register.ESC_ID])
 
     @property
-    def driving(self) -> bool:
+    def drives(self) -> bool:
         """Whether the motor is enabled and follows commands."""
         return self.status == ENABLED
 
     def tick(self, time: float) -> bool:
         """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it stopped."""
         timeout = self.registers[Register.TIMEOUT] * TIMEOUT_UNIT
-        if self.driving and 0.0 < timeout < time - self.fed_at:
+        if self.drives and 0.0 < timeout < time - self.fed_at:
             self.fail(LOST_COMMUNICATION)
             return True
         return False
@@ -129,7 +132,7 @@ class SimulatedMotor:
             return self._feedback()
         # The answer to a command is the state before it acts.
         answer = self._feedback()
-        if self.driving and self.registers[Register.CTRL_MODE] == MIT_MODE:
+        if self.drives and self.registers[Register.CTRL_MODE] == MIT_MODE:
             frame = np.frombuffer(data, np.uint8)
             command = decode_mit(frame, self._scaling)
             self.command = np.ravel(command).tolist()
@@ -255,7 +258,7 @@ class SimulatedArm:
         self._read_sensors()
         self._changed = True
         answers = [motor.handle(frame, time) for motor in self.motors]
-        self._was_enabled |= any(motor.driving for motor in self.motors)
+        self._was_enabled |= any(motor.drives for motor in self.motors)
         return [answer for answer in answers if answer is not None]
 
     def _gather(self) -> None:
@@ -266,7 +269,7 @@ class SimulatedArm:
         """
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
-        driving = np.array([m.driving for m in motors])
+        driving = np.array([m.drives for m in motors])
         *commands, brake, peak = table.T
         self._p, v, kp, kd, t = self._mounting.inverse.command(MitCommand(*commands))
         self._peak = peak
@@ -302,7 +305,7 @@ class SimulatedArm:
             motor.position = position
             motor.velocity = velocity
             # A motor measures the current of its power stage, not that of its shorted windings.
-            motor.torque = motor_torque if motor.driving else 0.0
+            motor.torque = motor_torque if motor.drives else 0.0
 
 
 class SimulatedLink:
@@ -349,8 +352,7 @@ class SimulatedLink:
         if self._echo:
             self._deliver(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
-            # An answer begins a third of a frame after the command's last bit: assumed.
-            begin = end + 50e-6
+            begin = end + _TURNAROUND
             heapq.heappush(self._replies, (begin, reply.id, next(self._order), reply))
 
     def receive(self, until: float) -> CanFrame | None:

@@ -98,7 +98,7 @@ class DamiaoTrajectory:
         row = np.searchsorted(self.time, time) - 1
         return np.clip(row, 0, len(self.time) - 2)
 
-    def sampled(self, time: Array) -> list[Array]:
+    def state_at(self, time: Array) -> list[Array]:
         """Return q, qd, tau (K, n) on the straight lines between rows at times (K,) [s].
 
         They are (n,) each for one time. Motors are sent what stands on these lines. Outside of the
@@ -115,7 +115,9 @@ class DamiaoTrajectory:
             signal[row] + share * (signal[row + 1] - signal[row]) for signal in signals
         ]
 
-    def needed(self, time: Array | float, speed: float) -> tuple[Array, Array, Array]:
+    def needed_torque(
+        self, time: Array | float, speed: float
+    ) -> tuple[Array, Array, Array]:
         """Return the torque that the motion needs at a speed, the weight in it and its error.
 
         All are (n,) [N m].
@@ -167,7 +169,7 @@ class DamiaoTrajectory:
 
     def evaluate(self, time: Array) -> Motion:
         """Return position and slope (K, n) at times (K,) [s], with zero acceleration."""
-        q = self.sampled(time)[0]
+        q = self.state_at(time)[0]
         return Motion(time, q, self.slopes[self._rows_at(time)], np.zeros_like(q))
 
 

@@ -213,6 +213,21 @@ class ArmStepper:
         self._unit_torques = np.eye(self._model.nv)[robot.dof_index]
         self._accelerations = np.empty_like(self._unit_torques)
 
+    @property
+    def robot(self) -> RobotModel:
+        """The arm, as given."""
+        return self._robot
+
+    @property
+    def model(self) -> Any:
+        """The copy of the arm's compiled model that is stepped; it may be changed between steps."""
+        return self._model
+
+    @property
+    def data(self) -> Any:
+        """MuJoCo's data of that copy, at the last step."""
+        return self._data
+
     def step(
         self, torque: Array, damping: Array, duration: float | None = None
     ) -> Array:

@@ -99,7 +99,7 @@ def test_the_motion_that_is_played_is_the_checked_one(start, goal, sunk):
     plan = plan_between(start, goal)
     holding = gravity_holding(ROBOT, plan.trajectory.joints)
     activity = moving_activity(plan, holding, "goal")
-    standing = Reference.resting(start + sunk, holding)
+    standing = Reference.at_rest(start + sunk, holding)
     reference = activity.begin(standing)
     for time, checked in zip(plan.trajectory.time[::40], plan.trajectory.q[::40]):
         played = reference(time)

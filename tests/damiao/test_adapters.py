@@ -16,12 +16,10 @@ from hypothesis import strategies as st
 from rigs.realtime_arm import NEEDS_TERMINALS, NearEnd, slcan_terminal
 from robot_sysid.damiao.adapters import (
     INTERFACES,
-    PACKET,
     SERIAL_ADAPTER,
     BusAddress,
     BusLink,
     SerialAdapter,
-    SerialReader,
     open_bus,
 )
 from robot_sysid.damiao.bus import GuardedLink, LinkError, SimulatedClock, SystemClock
@@ -198,8 +196,7 @@ class Port:
 
 def frames_in(line, size):
     """The frames that the maker's adapter finds in a line."""
-    adapter = SerialAdapter.__new__(SerialAdapter)
-    adapter._read = SerialReader(Port(line, size), PACKET)
+    adapter = SerialAdapter(Port(line, size))
     messages = [adapter.recv(1e-3) for _ in range(len(line) // 16 + 1)]
     return [CanFrame(m.arbitration_id, bytes(m.data)) for m in messages if m]
 

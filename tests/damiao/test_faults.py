@@ -1,7 +1,7 @@
-"""How far an arm leaves its path when a motor, an encoder, the supply or a frame is at fault.
+"""Damaged frames, each at a moment of its own, and stops of an arm that a weak motor holds still.
 
-An arm's model plays on simulated motors; ``benchmarks/motor_faults.py`` prints the whole table.
-Tests called "in_depth" repeat others with more cases.
+An arm's model plays on simulated motors. Single faults are rows of ``test_incidents.py``. Tests
+called "in_depth" repeat others with more cases.
 """
 
 from __future__ import annotations
@@ -10,53 +10,12 @@ from dataclasses import replace
 
 import pytest
 
-from rigs.fault_bench import (
-    CASES,
-    DAMAGES,
-    Case,
-    SetUp,
-    damage_cases,
-    hold_cases,
-    outcomes_of,
-)
-from rigs.places import ROOT
+from rigs.fault_bench import DAMAGES, SetUp, damage_cases, hold_cases, outcomes_of
 
 IN_DEPTH = "in_depth"
 LOWERED = SetUp(park="rest")
 """An arm that goes through all phases, lowering included."""
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def outcomes():
-    """What came of all cases, by name: their runs branch off one undisturbed run."""
-    nothing = Case("nothing", lambda run: None, after=4.0)
-    return {outcome.name: outcome for outcome in outcomes_of([*CASES, nothing])}
-
-
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_a_fault_moves_no_joint_far_from_its_path(case, outcomes):
-    outcome = outcomes[case.name]
-    assert outcome.figures[case.quantity] < case.bound, outcome
-    assert case.words in outcome.words, outcome
-    if case.words and case.joint is not None:
-        assert f"motor {case.joint + 1} " in outcome.words, outcome
-
-
-def test_an_undisturbed_run_completes_and_departs_from_nothing(outcomes):
-    outcome = outcomes["nothing"]
-    assert outcome.ending == "completed" and outcome.figures["departure"] == 0.0
-
-
-def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
-    page = (ROOT / "benchmarks" / "motor_faults.md").read_text(encoding="utf-8")
-    rows = [row.split(" | ") for row in page.splitlines()]
-    stated = {row[0].strip("| "): row[1:] for row in rows if len(row) == 3}
-    for case in CASES:
-        departure, words = stated[case.name]
-        measured = outcomes[case.name].figures[case.quantity]
-        assert abs(float(departure.strip("*")) - measured) < 0.03, case.name
-        assert case.words.replace("(joint joint1) ", "") in words, words
 
 
 @pytest.mark.parametrize("setup", [LOWERED, pytest.param(None, id=IN_DEPTH)])

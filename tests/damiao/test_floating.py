@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,16 +14,15 @@ from rigs import arms
 from rigs.command_line import run_motors
 from rigs.damiao_rig import (
     MotorBus,
-    fault,
     map_line,
     only_asks,
     trajectory_of,
     with_coarse_physics,
 )
+from rigs.incidents import FLOATING
 from rigs.wrong_arms import resting_torque
 from robot_sysid.commands import Console
 from robot_sysid.commands.motors import holding
-from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.floating import SETTLING, Drift, Floating
 from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.protocol import DISABLE, DISABLED, special_frame
@@ -343,62 +341,9 @@ def test_a_model_with_more_joints_than_motors_is_refused(float_test):
     assert only_asks(test.bus.wire.sent)
 
 
-def interrupt(bus):
-    signal.raise_signal(signal.SIGINT)
-
-
-def unplug(bus):
-    def fail(*_):
-        raise LinkError("gone")
-
-    bus.bus.send = bus.bus.receive = fail
-
-
-def close_terminal(bus):
-    bus.terminal_is_closed = True
-
-
-def _angle(motor):
-    return motor.position
-
-
-POWER_LOST = fault(0, silent=True, brake=0.0, torque_share=0.0)
-FAULTS = {
-    "loses power": (POWER_LOST, 3, "motor 1 .* did not answer", np.inf),
-    "answers vanish": (
-        fault(0, lost_replies=True),
-        3,
-        "motor 1 .* did not answer",
-        0.1,
-    ),
-    "reports a fault": (fault(0, status=0xA), 3, "motor 1 .* reports status A", np.inf),
-    "says so and drives on": (fault(0, false_status=3), 1, "", 0.1),
-    "reported angle jumps": (fault(0, shift=0.3), 3, "motor 1 .* jumped by", 0.1),
-    "encoder jumps": (fault(0, encoder_error=0.3), 3, "motor 1 .* jumped by", 0.1),
-    "encoder freezes": (fault(0, frozen_encoder=_angle), 0, "", 0.3),
-    "half its torque": (
-        fault(0, torque_share=0.5),
-        3,
-        "motor 1 .* is not carried",
-        0.2,
-    ),
-    "adapter unplugged": (
-        unplug,
-        3,
-        "gone; no confirmation .* Cut their power",
-        np.inf,
-    ),
-    "Ctrl-C": (interrupt, 3, "stopped by SIGINT", 0.1),
-    "terminal closed": (close_terminal, 1, "or printing it failed", 0.2),
-}
-"""What happens to the first joint while it floats and sinks by 4 deg/s: the cause, the exit code,
-what is said, and how far that joint then gets [rad]; the other one is held within 0.03 rad."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FAULTS)
-def test_an_arm_with_a_fault_is_held(float_test, name):
-    cause, code, message, bound = FAULTS[name]
-    test = float_test(arm(0.85), arm(), cause=cause)
-    assert test.code == code and re.search(message, test.err)
-    assert test.moved[0] < bound and test.moved[1] < 0.03
+@pytest.mark.parametrize("case", FLOATING, ids=lambda case: case.name)
+def test_an_arm_with_a_fault_is_held(float_test, case):
+    test = float_test(arm(0.85), arm(), cause=case.cause)
+    assert test.code == case.code and re.search(case.words, test.err)
+    assert test.moved[0] < case.bound and test.moved[1] < 0.03

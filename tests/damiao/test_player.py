@@ -67,12 +67,9 @@ def test_what_nohup_or_a_shell_makes_a_process_ignore_stays_ignored(name, heard)
 
 
 @pytest.mark.parametrize(("later", "insisted"), [(0.1, False), (0.3, True)])
-def test_only_ctrl_c_again_insists_and_not_one_that_came_twice(
-    later, insisted, heard, monkeypatch
-):
-    now = iter((5.0, 5.0 + later))
-    monkeypatch.setattr("time.monotonic", lambda: next(now))
-    stop = StopRequest()
+def test_only_ctrl_c_again_insists_and_not_one_that_came_twice(later, insisted, heard):
+    times = iter((5.0, 5.0 + later))
+    stop = StopRequest(now=lambda: next(times))
     with stop.on_signals():
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)

@@ -1,17 +1,9 @@
 """Whole runs: those that end well, what is refused before anything moves, and what goes wrong.
 
-One line per fault: what every motor does 0.1, 0.5 and 2 s later, and what is said. States are the
-status codes of motors 1 and 2 (0 disabled, 1 enabled, D watchdog expired); a controlled stop keeps
-them enabled while it brakes.
+Single faults are rows of ``test_incidents.py``.
 """
 
 from __future__ import annotations
-
-import errno
-import signal
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,17 +12,17 @@ from rigs.damiao_rig import (
     BIT_RATE,
     Damage,
     Rig,
-    both,
+    combine_causes,
+    delay_cause,
     fault,
-    later,
     lifted_swing,
     motor,
-    restarted,
+    restart_motor,
     swing,
 )
+from rigs.motor_causes import slow_adapter
+from rigs.pendulum_runs import states_of
 from rigs.places import ROOT
-from robot_sysid.damiao import recorder
-from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import (
@@ -42,10 +34,20 @@ from robot_sysid.damiao.protocol import (
     is_special,
     special_frame,
 )
-from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import HardwareAbort
 
 USUAL = {"rate": 250.0}
+STRONG = 8.0
+"""Torque of gravity on a level pendulum that its motor carries with some effort [N m]."""
+LIFTED = {
+    "motion": lifted_swing(0.8, duration=1.0, gravity=STRONG),
+    "start": [0.8, 0.8],
+    "gravity": STRONG,
+    "ramp_time": 0.3,
+    "rest_time": 0.3,
+    **USUAL,
+}
+"""A rig whose arm is lifted, and would fall."""
 SECOND = np.array([0.0, 1.0])
 """Share of each joint in what only the second one has."""
 
@@ -67,8 +69,8 @@ def test_an_undisturbed_run_plays_everything_and_disables(plain_run):
 
 def test_lost_replies_and_a_short_stall_leave_gaps_and_nothing_is_replayed(rig):
     run = rig(**USUAL)
-    found = later(0.008, fault(1, lost_replies=False))
-    run.during("playing", 0.3, both(fault(1, lost_replies=True), found))
+    found = delay_cause(0.008, fault(1, lost_replies=False))
+    run.during("playing", 0.3, combine_causes(fault(1, lost_replies=True), found))
     run.during("playing", 0.5, lambda r: r.clock.stall(0.015)).run()
     recording = run.assert_played()
     q = recording.joint_values("pos")
@@ -99,13 +101,12 @@ def test_a_status_in_every_tenth_answer_is_counted_in_a_run_that_goes_on(rig):
     assert none == {} and [*reports] == [3] and n_rows <= reports[3] <= n_rows + 3
     assert run.report.confirmed_reports == run.report.reports
     assert run.report.refused.tolist() == run.report.missed.tolist() == [0, reports[3]]
-    assert not np.any(run.report.lost) and not run.report.is_flawless
+    assert not np.any(run.report.n_lost) and not run.report.is_flawless
 
 
 def test_each_command_is_answered_or_its_answer_refused_late_or_lost(rig):
     run = rig(**USUAL)
     run.bus.error_frames = 2
-    deliver = run.bus._deliver
     sent = []
     lost = []
 
@@ -116,12 +117,12 @@ def test_each_command_is_answered_or_its_answer_refused_late_or_lost(rig):
             sent.append(frame)
             if len(sent) % 60 == 20:
                 lost.append(frame)
-                return
+                return None
             if len(sent) % 60 == 50:
-                frame = frame._replace(time=frame.time + 0.005)
-        deliver(frame)
+                return frame._replace(time=frame.time + 0.005)
+        return frame
 
-    run.bus._deliver = lose_or_delay
+    run.bus.route = lose_or_delay
 
     def see_errors(rig):
         rig.bus.error_frames += 3
@@ -129,12 +130,13 @@ def test_each_command_is_answered_or_its_answer_refused_late_or_lost(rig):
     run.during("playing", 0.1, see_errors)
     run.during("playing", 0.2, Damage("status", 7, 1)).run(settle=0.0)
     report = run.report
-    assert report.lost.tolist() == [0, len(lost)] and len(lost) > 3
+    assert report.n_lost.tolist() == [0, len(lost)] and len(lost) > 3
     assert report.late.tolist() == [0, (len(sent) + 10) // 60]
     assert report.refused.tolist() == [0, 1] and report.error_frames == 3
     assert report.reports == ({}, {7: 1}) and report.confirmed_reports == ({}, {})
     assert (
-        report.missed.tolist() == (report.lost + report.late + report.refused).tolist()
+        report.missed.tolist()
+        == (report.n_lost + report.late + report.refused).tolist()
     )
     commands = [frame for frame in run.wire.sent if not is_special(frame.data)]
     for j in range(2):
@@ -226,17 +228,7 @@ def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
 
 def as_if_somebody_talked(run):
     for k in range(10):
-        run.bus._replies.append((0.004 * k, 0x11, -k, CanFrame(0x11, bytes(8))))
-
-
-def slow_adapter(least, most):
-    """Answers come so late [s]."""
-
-    def cause(rig):
-        random = np.random.default_rng(0)
-        rig.bus.delay = lambda: random.uniform(least, most)
-
-    return cause
+        run.bus.talk(0.004 * k, CanFrame(0x11, bytes(8)))
 
 
 def extra(*joint):
@@ -303,11 +295,10 @@ def mirror_joint(run):
     ],
 )
 def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
-    rig, share, faults, message, monkeypatch
+    rig, share, faults, message
 ):
-    monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
-    *motion, tau = lifted_swing(0.8, duration=1.0)
-    options = {"start": [0.8, 0.8], "ramp_time": 0.3, **USUAL}
+    *motion, tau = lifted_swing(0.8, duration=1.0, gravity=STRONG)
+    options = {"start": [0.8, 0.8], "ramp_time": 0.3, "gravity": STRONG, **USUAL}
     run = rig(motion=(*motion, share * tau), faults=faults, **options)
     run.run(settle=0.0)
     assert message in str(run.error), run.error
@@ -316,175 +307,6 @@ def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
 
 
 # --- faults while it plays ----------------------------------------------------------------------
-
-AFTER = (0.1, 0.5, 2.5)
-BRAKES = "11 00 00"
-DROPS = "00 00 00"
-TRIPS = "DD DD DD"
-# Motors are held until they have come to rest.
-SLOWLY = "11 11 00"
-
-
-def raising(error):
-    def fail(*_):
-        raise error
-
-    return fail
-
-
-def hung_up(rig):
-    """The terminal is closed: printing fails from now on, and two signals come."""
-    rig.console = raising(OSError(errno.EIO, "Input/output error"))
-    rig.stop("stopped by SIGHUP")
-    rig.at(0.01, lambda: rig.stop("stopped by SIGHUP"))
-
-
-def insist_on_stop(rig):
-    """Ctrl-C, and again while the motors brake."""
-    rig.stop("stopped by SIGINT")
-    rig.at(0.02, lambda: rig.stop("again", insist=True))
-
-
-def send_signal(name):
-    return lambda rig: signal.raise_signal(getattr(signal, name))
-
-
-def disk_full(rig):
-    full = raising(OSError(28, "No space left on device"))
-    rig.patch.setattr(recorder.Centring, "torques", full)
-
-
-def ask_for_too_much(rig):
-    """The trajectory that is played asks for a torque that the first motor does not make."""
-    rig.plan.trajectory.tau[:, 0] = 30.0
-
-
-def driver_fails(error, seconds):
-    """The driver raises something of its own for a while."""
-
-    def cause(rig):
-        until = rig.clock.now() + seconds
-        send = rig.bus.send
-        receive = rig.bus.receive
-
-        def failing(call):
-            def failing_call(*arguments):
-                rig.clock.sleep_until(rig.clock.now() + 1e-4)
-                if rig.clock.now() < until:
-                    raise error
-                return call(*arguments)
-
-            return failing_call
-
-        rig.bus.send = failing(send)
-        rig.bus.receive = failing(receive)
-
-    return cause
-
-
-@dataclass(frozen=True)
-class Line:
-    """A fault that stops a run.
-
-    Attributes:
-        fault: its name.
-        cause: begins the fault in a rig.
-        states: of the motors after the stop.
-        message: text of the error.
-        options: of the rig.
-        phase: in which the fault begins.
-        begins: how long after the phase's beginning [s].
-    """
-
-    fault: str
-    cause: Callable[[Any], object]
-    states: str
-    message: str
-    options: dict[str, Any] = field(default_factory=dict)
-    phase: str = "playing"
-    begins: float = 0.15
-
-
-DEAF = {"max_speed_error": 9.0, "max_tracking_error": 9.0}
-UNPLUGGED = driver_fails(LinkError("gone"), 1e9)
-LOST = "answer in time for 6 cycles; no confirmation that these motors are disabled: motor 2. Cut"
-RAMP = "raising the gains"
-WAY = "moving to the first point"
-# The other joint has no stiffness.
-LOOSE = {"motion": swing(2, 3.0, amplitude=0.3), "kp": (0.0, 60.0)}
-FIRST = {"start": [0.3, -0.3]}
-TABLE = (
-    Line("terminal closed", hung_up, BRAKES, "stopped by SIGHUP"),
-    Line("Ctrl-C", send_signal("SIGINT"), BRAKES, "stopped by SIGINT"),
-    Line("Ctrl-C twice", insist_on_stop, DROPS, "stopped by SIGINT"),
-    Line("disk full", disk_full, BRAKES, "cannot record: No space left on device"),
-    Line("a defect", raising(RuntimeError("unforeseen")), BRAKES, "RuntimeError: unforeseen"),
-    Line("driver raises, for good", driver_fails(KeyError("x"), 1e9), TRIPS, "Cut their power"),
-    Line("driver exits, 20 ms", driver_fails(SystemExit(7), 0.02), BRAKES, "SystemExit: 7"),
-    Line("adapter unplugged", UNPLUGGED, TRIPS, "gone; no confirmation"),
-    Line("motor dies", fault(1, silent=True), "1D 0D 0D", LOST),
-    Line("answers lost", fault(1, lost_replies=True), "11 00 00", LOST),
-    Line("disabled by itself", fault(1, status=0), "10 00 00", "motor 2 was switched off"),
-    Line("all fail", both(fault(0, status=9), fault(1, status=9)), "99 99 99", "status 9"),
-    Line(
-        "a second one fails while it brakes",
-        both(fault(0, status=0xA), later(0.02, fault(1, status=0xB))),
-        *("AB AB AB", "motor 1 reports status A"),
-    ),
-    Line("blocked joint", fault(0, jam_damping=1e6), "01 00 00", "rad again and again"),
-    Line("weak motor", fault(1, peak_torque=0.05), SLOWLY, "2 disagrees in torque: it reports"),
-    Line("power stage hot", fault(1, temperature_mos=81), BRAKES, "motor 2 is at 81 deg C"),
-    Line("winding hot", fault(1, temperature_rotor=81), BRAKES, "motor 2 is at 81 deg C"),
-    Line("velocity scaled", fault(1, velocity_factor=0.8), SLOWLY, "in speed: in a second", LOOSE),
-    Line("encoder slips 0.15 rad", fault(1, shift=0.15), BRAKES, "what cannot be true"),
-    Line("stall", lambda rig: rig.clock.stall(0.05), BRAKES, "late for a control cycle, limit 20"),
-    Line("long stall", lambda rig: rig.clock.stall(0.2), TRIPS, "ms late for a control cycle"),
-    Line("adapter turns slow", slow_adapter(5e-3, 16e-3), SLOWLY, "did not answer in time"),
-    Line("fault in the ramp", fault(0, status=0xA), "A1 A0 A0", "status A", FIRST, RAMP, 0.05),
-    Line("fault on the way", fault(0, status=0xA), "A1 A0 A0", "status A", FIRST, WAY),
-    Line("too much torque", ask_for_too_much, BRAKES, "motor 1 would be asked for"),
-    Line("does not enable", fault(1, status=9), "09 09 09", "not enable", {}, "enabling", 0.0),
-)  # fmt: skip
-
-
-def states(rig):
-    rig.arm.advance(rig.clock.now())
-    return "".join(f"{motor.status:X}" for motor in rig.motors)
-
-
-@pytest.mark.parametrize("line", TABLE, ids=lambda line: line.fault)
-def test_while_it_moves(rig, line, monkeypatch, heard):
-    run = rig(**line.options)
-    began = []
-    registers = []
-    run.patch = monkeypatch
-
-    def cause(rig):
-        began.append(rig.clock.now())
-        for moment in AFTER:
-            rig.at(moment, lambda: registers.append(states(rig)))
-        line.cause(rig)
-
-    with run.stop.on_signals():
-        run.during(line.phase, line.begins, cause).run(settle=0.0)
-    run.clock.sleep_until(began[0] + AFTER[-1])
-    last = {j: int(code, 16) for j, code in enumerate(line.states[-2:])}
-    if line.fault in (
-        "disk full",
-        "adapter turns slow",
-    ):  # what is not recorded, by its nature
-        monkeypatch.setattr(run, "assert_nothing_lost", lambda: None)
-    assert line.message in str(run.error), run.error
-    run.assert_stopped(line.message, last)
-    if line.phase != "enabling":
-        assert " ".join(registers) == line.states
-        assert run.has_begun("stopping")
-    if line.states == SLOWLY:
-        assert "# stop: " in run.record_path.read_text()
-    enabled = [
-        frame.data[7] for frame in run.wire.sent if is_special(frame.data)
-    ].count(0xFC)
-    assert enabled == 2
 
 
 def to_zero(hit):
@@ -498,28 +320,24 @@ def to_zero(hit):
 def test_a_motor_that_starts_again_is_not_taken_for_a_cable(rig, seconds, shift):
     """Whatever position it then has: its turn count may be lost, or its zero."""
     run = rig(**USUAL)
-    run.during("playing", 0.25, restarted(1, seconds, shift)).run(settle=0.0)
+    run.during("playing", 0.25, restart_motor(1, seconds, shift)).run(settle=0.0)
     assert "motor 2 was switched off, or started again" in str(run.error), run.error
     assert run.error.report.reports[1][DISABLED] >= 1
 
 
 def test_a_motor_that_starts_again_more_slowly_is_named_after_the_stop(rig):
     run = rig(**USUAL)
-    run.during("playing", 0.25, restarted(1, 0.05, to_zero)).run(settle=0.0)
+    run.during("playing", 0.25, restart_motor(1, 0.05, to_zero)).run(settle=0.0)
     silent, since = str(run.error).split("; it has answered since then: ")
     assert silent == "motor 2 did not answer in time for 6 cycles"
     assert since.startswith("motor 2 was switched off, or started again: it reports st")
 
 
-def test_a_motor_that_only_says_that_it_does_not_drive_goes_on_holding_its_joint(
-    rig, monkeypatch
-):
+def test_a_motor_that_only_says_that_it_does_not_drive_goes_on_holding_its_joint(rig):
     """A stop lets go of nothing that it held: its watchdog would be left to drop the joint."""
-    monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
-    motion = lifted_swing(0.8, duration=1.0)
-    run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
+    run = rig(**LIFTED)
     seen = []
-    run.during("stopping", 0.2, lambda r: seen.append(states(r)))
+    run.during("stopping", 0.2, lambda r: seen.append(states_of(r)))
     lies = fault(1, false_status=3, false_every=1)
     run.during("moving", 0.05, lies).run(settle=0.0)
     assert "motor 2 reports status 3" in str(run.error)
@@ -527,44 +345,10 @@ def test_a_motor_that_only_says_that_it_does_not_drive_goes_on_holding_its_joint
     assert farthest_from(0.8, run) < 0.04
 
 
-@pytest.mark.slow
-def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig):
-    """Answers begin to come 5 to 16 ms late: each one that is believed answers the last command."""
-    run = rig(1, max_missed=50, **DEAF, **USUAL)
-    hit = run.motors[0]
-    commands = []
-    answered = []
-    answer = hit._command_answer
-    exchange = MotorSession.exchange
-
-    def number_commands(data, time):
-        """Let the winding's temperature say how many commands the motor has had."""
-        commands.append(data)
-        hit.temperature_rotor = len(commands) % 60
-        return answer(data, time)
-
-    def watch_call(self, command, until, joints, braking):
-        replies = exchange(self, command, until, joints, braking)
-        if replies.answered[0] and not braking:
-            answered.append((replies.feedback.temperature_rotor[0], len(commands) % 60))
-        return replies
-
-    hit._command_answer = number_commands
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MotorSession, "exchange", watch_call)
-        run.during("playing", 0.1, slow_adapter(5e-3, 16e-3)).run()
-    assert len(answered) > 100
-    assert [got for got, _ in answered] == [command for _, command in answered]
-
-
 @pytest.mark.parametrize("delay", [0.005, 0.02, 0.05])
-def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
-    rig, delay, monkeypatch
-):
+def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(rig, delay):
     """What has been fed forward by then is only a part of what carries it."""
-    monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
-    motion = lifted_swing(0.8, duration=1.0)
-    run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
+    run = rig(**LIFTED)
     run.during("raising", delay, lambda r: r.stop("stopped by SIGTERM")).run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"
     assert farthest_from(0.8, run) < 0.03

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import damiao_rig
 from rigs.damiao_rig import Damage, MotorBus, mit_command
+from rigs.motor_causes import slow_adapter
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, CanFrame, Register, is_motion
-from robot_sysid.damiao.session import PAUSE, Outstanding
+from robot_sysid.damiao.session import PAUSE, REPLY_SHARE, Outstanding
 from robot_sysid.errors import HardwareAbort
 
 
@@ -47,9 +47,9 @@ def setup_client(bench):
     return RegisterClient(link)
 
 
-def test_a_refused_write_is_noticed(monkeypatch):
+def test_a_refused_write_is_noticed():
     bench = Bench()
-    monkeypatch.setattr(damiao_rig, "WRITABLE", ())
+    bench.motors[0].writable = ()
     with pytest.raises(HardwareAbort, match="motor 1 refused VMAX = 0.5 and keeps 10"):
         setup_client(bench).write(1, Register.VMAX, 0.5)
 
@@ -150,6 +150,31 @@ def test_a_damaged_answer_while_enabling_is_asked_again():
         position = session.enable()
     assert bench.bus.damage is None
     np.testing.assert_allclose(position, 0.0, atol=1e-3)
+
+
+def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command():
+    """Answers begin to come 5 to 16 ms late, then in time now and then: those that are believed
+    answer the last command.
+    """
+    bench = Bench(1)
+    (hit,) = bench.motors
+    hit.counts_commands = True
+    answered = []
+    period = 0.004
+    with bench.enabled():
+        begin = bench.clock.now()
+        for k in range(1, 901):
+            if k == 200:
+                slow_adapter(5e-3, 16e-3)(bench)
+            if k == 500:
+                slow_adapter(0.0, 16e-3)(bench)
+            bench.clock.sleep_until(begin + period * k)
+            replies = bench.exchange(seconds=REPLY_SHARE * period)
+            if replies.answered[0]:
+                count = replies.feedback.temperature_rotor[0]
+                answered.append((k, count, hit.n_commands % 60))
+    assert len(answered) > 100 and answered[-1][0] > 500
+    assert [count for _, count, _ in answered] == [last for *_, last in answered]
 
 
 ONE = np.ones(1, bool)

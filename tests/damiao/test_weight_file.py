@@ -61,7 +61,7 @@ def test_what_is_needed_is_the_models_torque_without_friction(speed, row):
     q, qd, qdd = (s[[row]] for s in (trajectory.q, trajectory.qd, trajectory.qdd))
     played = Motion(np.zeros(1), q, speed * qd, speed**2 * qdd)
     resting = Motion(np.zeros(1), q, 0.0 * qd, 0.0 * qd)
-    torque, weight, _ = trajectory.needed(trajectory.time[row], speed)
+    torque, weight, _ = trajectory.needed_torque(trajectory.time[row], speed)
     arm = ArmDynamics(smooth)
     np.testing.assert_allclose(torque, arm(played)[0], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(weight, arm(resting)[0], rtol=1e-9, atol=1e-9)
@@ -71,17 +71,19 @@ def test_what_is_needed_is_the_models_torque_without_friction(speed, row):
 def test_the_torque_lies_on_straight_lines_and_holds_beyond_the_ends(robot):
     trajectory = with_weight_of(robot, trajectory_of(MOTION))
     between = 0.5 * (trajectory.time[7] + trajectory.time[8])
-    ends = [trajectory.needed(trajectory.time[row], 0.5)[0] for row in (7, 8)]
-    np.testing.assert_allclose(trajectory.needed(between, 0.5)[0], np.mean(ends, 0))
-    first = trajectory.needed(0.0, 0.5)[0]
-    np.testing.assert_array_equal(trajectory.needed(-1.0, 0.5)[0], first)
-    rows = [trajectory.needed(time, 0.5)[0] for time in trajectory.time]
+    ends = [trajectory.needed_torque(trajectory.time[row], 0.5)[0] for row in (7, 8)]
+    np.testing.assert_allclose(
+        trajectory.needed_torque(between, 0.5)[0], np.mean(ends, 0)
+    )
+    first = trajectory.needed_torque(0.0, 0.5)[0]
+    np.testing.assert_array_equal(trajectory.needed_torque(-1.0, 0.5)[0], first)
+    rows = [trajectory.needed_torque(time, 0.5)[0] for time in trajectory.time]
     np.testing.assert_allclose(trajectory.at_speed(0.5).tau, rows)
 
 
 def test_without_a_weight_the_files_torque_is_fed():
     trajectory = trajectory_of(MOTION)
-    torque, weight, _ = trajectory.needed(trajectory.time[9], 0.3)
+    torque, weight, _ = trajectory.needed_torque(trajectory.time[9], 0.3)
     np.testing.assert_array_equal(torque, trajectory.tau[9])
     assert np.all(np.isnan(weight))
     assert trajectory.at_speed(0.3) is trajectory

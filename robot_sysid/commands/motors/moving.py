@@ -114,7 +114,7 @@ def moving_activity(plan: Plan, holding: HoldingTorque, goal_name: str) -> Activ
     What is fed forward is the model's gravity along the way.
     """
     goal = plan.trajectory.q[-1]
-    target = Reference.resting(goal, holding)
+    target = Reference.at_rest(goal, holding)
 
     def begin(standing: Reference) -> ReferenceFunction:
         """Return the way to the goal from the reference in which the arm stands."""

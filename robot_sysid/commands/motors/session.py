@@ -186,7 +186,7 @@ def run_health(report: PlayReport, joints: Sequence[DamiaoJoint]) -> list[str]:
         return ["every command was answered"]
     headings = "bus health", "commands", "lost", "late", "refused", _STATUS_HEADING
     rows: list[Sequence[str]] = [headings]
-    counts = report.commands, report.lost, report.late, report.refused
+    counts = report.commands, report.n_lost, report.late, report.refused
     for joint, reports, *numbers in zip(joints, report.reports, *counts):
         status = ", ".join(
             f"{status_text(code)} ({n} times)" for code, n in sorted(reports.items())

@@ -45,6 +45,14 @@ USUAL_DIFFERENCE = EXPECTED_SCALES[0] * LINK / 100.0
 """Share of a joint's torque by which the file of one model usually differs from another model of
 the arm: that by which a link's mass is expected to be off, 20 %."""
 
+SHORTEST_WAY = 0.02
+"""Angle that some joint has to move by before the way to the first point is looked at [rad]: bodies
+that touch on a shorter way touch where the arm stands, and the model has a contact too many."""
+FOREIGN_ERROR = 0.8
+"""Error of a file's torque, over the torque that the motion needs (rms), from which on it is that
+of another motion or arm. The error is 1 without any torque, 2 with the other sign, and 0.5 where a
+new load doubles the torque of a joint: a judgement between."""
+
 
 def with_weight_of(robot: RobotModel, trajectory: DamiaoTrajectory) -> DamiaoTrajectory:
     """Return a trajectory with the torques that carry and accelerate a model's arm in it.
@@ -76,11 +84,9 @@ def transfer_checks(
 ) -> Iterator[Remark]:
     """Yield a stop where the arm touches something on its way to the trajectory's first point.
 
-    The way is the line between two poses (n,) [rad]. A line on which all joints move less than 0.02
-    rad is not looked at: bodies that touch there touch where the arm stands, and the model has a
-    contact too many.
+    The way is the line between two poses (n,) [rad]; one below ``SHORTEST_WAY`` is not looked at.
     """
-    if np.max(np.abs(end - begin)) <= 0.02:
+    if np.max(np.abs(end - begin)) <= SHORTEST_WAY:
         return
     contact = first_contact(problem, LineTrajectory(begin, end))
     if contact is not None:
@@ -130,9 +136,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     error = np.sqrt(np.mean((trajectory.tau - at_full_speed) ** 2, axis=0))
     # Torque (n,) that friction alone may explain [N m].
     doubt = torque_doubt(joints) + robot.friction.largest_dry
-    # Over the needed torque the error is 1 without any torque, 2 with the other sign, and 0.5 where
-    # a new load doubles the torque of a joint: 0.8 is a judgement between.
-    is_foreign = (error > doubt) & (error > 0.8 * needed_rms)
+    is_foreign = (error > doubt) & (error > FOREIGN_ERROR * needed_rms)
     factor = common_torque_factor(trajectory.tau, at_full_speed, doubt)
     if factor is not None:
         yield stop(

@@ -36,6 +36,20 @@ from robot_sysid.wording import option_name
 SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
 """Remedy for a trajectory that leaves an arm's limits, or touches something."""
 
+REST_SPEED = 0.05
+"""Speed below which a trajectory counts as at rest at its ends [rad/s]: a quarter of the approach
+speed, so that the hold before and after it makes no step that a motor feels."""
+WARMEST_START = 60.0
+"""Temperature above which a motor does not start a run [degC]: half way from a warm room to the
+limit during one, so that no motor reaches that in the run (a judgement)."""
+LONGEST_WATCHDOG = 5.0
+"""Timeout above which a watchdog is no protection at all [s] (a judgement)."""
+LONG_WATCHDOG = 0.5
+"""Timeout above which a watchdog is noted as long [s]: within it an arm that nobody commands falls
+or runs far."""
+USUAL_WATCHDOG = 0.1
+"""Least timeout that is proposed [s]: the one that docs/damiao.md recommends."""
+
 
 def stops(checks: Sequence[Remark]) -> list[str]:
     """Return the texts of the checks that forbid to play."""
@@ -132,8 +146,7 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
     yield from map(stop, id_problems([(j.can_id, j.master_id) for j in joints]))
 
     end_speed = np.max(np.abs(trajectory.qd[[0, -1]])) * settings.speed
-    # A quarter of the approach speed.
-    if end_speed > 0.05:
+    if end_speed > REST_SPEED:
         yield stop(
             f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
             "rest"
@@ -349,8 +362,7 @@ def motor_checks(
             "power-cycle"
         )
     temperature = feedback.temperature[0]
-    # A judgement: half way from a warm room to the limit, so that no motor reaches it in the run.
-    limit = min(60.0, settings.max_temperature)
+    limit = min(WARMEST_START, settings.max_temperature)
     if temperature > limit:
         yield stop(
             f"{name} is at {temperature} deg C, above {limit:g}; let it cool down"
@@ -370,19 +382,16 @@ def watchdog_checks(
     # A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one.
     # The watchdog has to outlast two such waits in succession.
     least = 2 * (PAUSE + 1) * period
-    # A longer one is no protection at all (a judgement).
-    longest = 5.0
-    # The timeout to propose, in tenths of a second.
-    proposed = max(0.1, np.ceil(10.0 * least) / 10.0)
+    # In tenths of a second.
+    proposed = max(USUAL_WATCHDOG, np.ceil(10.0 * least) / 10.0)
     remedy = f"set it with motors setup --motor {joint.can_id} --watchdog {proposed:g} --store"
     watchdog = f"{joint.label}'s watchdog of {1e3 * timeout:g} ms"
-    if not least <= timeout <= longest:
+    if not least <= timeout <= LONGEST_WATCHDOG:
         yield stop(
-            f"{watchdog} is not from {1e3 * least:g} to {1e3 * longest:g} ms (0 is none: the "
-            f"arm would go on if this program died); {remedy}"
+            f"{watchdog} is not from {1e3 * least:g} to {1e3 * LONGEST_WATCHDOG:g} ms (0 is none: "
+            f"the arm would go on if this program died); {remedy}"
         )
-    # Until then an arm that nobody commands falls or runs far.
-    elif timeout > 0.5:
+    elif timeout > LONG_WATCHDOG:
         yield note(f"{watchdog} is long; {remedy}")
 
 

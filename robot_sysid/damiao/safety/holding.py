@@ -27,11 +27,16 @@ LOADED = 2.0
 With this value a guessed model may be twice too heavy.
 """
 
+DOUBT = 0.06
+"""Torque that friction alone may explain, as a share of a motor's peak torque: 1.6 N m of a DM4340,
+about the ``LARGEST_FRICTION`` that small motors have (a judgement). With less, the friction of a
+stiff gear would be taken for a load with the wrong sign, with more, a joint that turns the other
+way would have to be loaded more before it is noticed."""
+
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
-    """Return the torque (n,) that friction alone may explain: 0.06 of each joint's peak [N m]."""
-    # A judgement.
-    return 0.06 * peak_torques(joints)
+    """Return the torque (n,) that friction alone may explain at each joint [N m]."""
+    return DOUBT * peak_torques(joints)
 
 
 # Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad.

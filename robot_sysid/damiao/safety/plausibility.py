@@ -112,7 +112,7 @@ class _Doubts(NamedTuple):
     heats: Mask
 
     @property
-    def none(self) -> Mask:
+    def is_plausible(self) -> Mask:
         """Whether nothing is implausible (n,)."""
         return ~(self.jumps | self.accelerates | self.bends | self.heats)
 
@@ -145,7 +145,7 @@ class SampleFilter:
     Attributes:
         last: last believed samples; NaN before the first. The position of a joint whose answers
             are refused is carried on by their speed, as far as that is plausible.
-        misled: (n,) whether the motor's own control uses a position that was refused: its
+        is_misled: (n,) whether the motor's own control uses a position that was refused: its
             stiffness would push the joint by as much as that is off.
     """
 
@@ -156,7 +156,7 @@ class SampleFilter:
         unknown = np.full(n_joints, np.nan)
         enabled = np.ones(n_joints, dtype=bool)
         self.last = _Samples(unknown, unknown, unknown, unknown, enabled, unknown)
-        self.misled = np.zeros(n_joints, dtype=bool)
+        self.is_misled = np.zeros(n_joints, dtype=bool)
         self._suspect = self.last
         self._is_suspected = np.zeros(n_joints, dtype=bool)
 
@@ -198,19 +198,19 @@ class SampleFilter:
         # An answer is believed if it follows the last believed one, or repeats the suspect one. A
         # motor that was enabled and reports that it is not has to say so twice.
         doubts = self._compare(self.last, now)
-        follows = doubts.none & (now.enabled | ~self.last.enabled)
-        repeated = self._compare(self._suspect, now).none & self._is_suspected
+        follows = doubts.is_plausible & (now.enabled | ~self.last.enabled)
+        repeated = self._compare(self._suspect, now).is_plausible & self._is_suspected
         repeated &= now.enabled == self._suspect.enabled
         believed = came & (follows | (repeated & ~doubts.jumps))
 
-        reckoned = self._reckoned(now)
+        reckoned = self._reckoned_positions(now)
         # The torque tells which position the motor's own control uses: the reported one, or that
         # to which the speed leads.
         elsewhere = self._torque_error(acted, feedback, reckoned)
         bend_there = np.abs(elsewhere - self.last.torque_error)
         bend_here = np.abs(error - self.last.torque_error)
         is_elsewhere = came & doubts.jumps & now.enabled
-        self.misled |= is_elsewhere & (bend_here < bend_there)
+        self.is_misled |= is_elsewhere & (bend_here < bend_there)
         is_obvious = bend_there > MOST_BEND * self._peak
         is_jump = is_elsewhere & ~doubts.bends & (repeated | is_obvious)
         jump = np.where(is_jump, np.nan_to_num(q - self.last.q), 0.0)
@@ -231,7 +231,7 @@ class SampleFilter:
         expected = acted.motor_torque(q, feedback.velocity)
         return feedback.torque - np.clip(expected, -self._peak, self._peak)
 
-    def _reckoned(self, now: _Samples) -> Array:
+    def _reckoned_positions(self, now: _Samples) -> Array:
         """Return the positions (n,) to which speeds have led since the last samples [rad]."""
         passed = np.maximum(np.nan_to_num(now.time - self.last.time), 0.0)
         return self.last.q + 0.5 * (self.last.qd + now.qd) * passed

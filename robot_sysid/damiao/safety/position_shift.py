@@ -18,6 +18,12 @@ sum that falls below zero begins again at zero, because what is to be found may 
 (Page, "Continuous inspection schemes", Biometrika 41, 1954). A shift is reported where it gains
 much, and clearly more than anything else.
 
+It is an estimator of its own beside the fit of ``estimate``, because it runs while the arm moves,
+window by window within control cycles of 4 ms, and has to find what begins at any time. It shares
+the columns of links (``LinkDynamics``) and the priors of links and friction (``estimate.links``,
+``records.usual_errors``). Its other priors and its levels are its own: a missed shift costs an arm
+and a false one a run, so that it decides at less evidence than what is asked of a finished log.
+
 The doubt of a joint is the torque that friction alone may explain; torques are divided by it: they
 are in doubts.
 """
@@ -59,6 +65,9 @@ _OFFSET = 0.2
 # Noise of a window's mean torque before any window, and least noise [doubts].
 _FIRST_NOISE = 0.07
 _LEAST_NOISE = 0.01
+# Variance that a window's scatter adds to its noise, over the variance of that scatter: what
+# happens within a window, as a blow does, makes three times as much noise in its mean.
+_SCATTER = 9.0
 # Number of windows over which the model's errors are correlated: a turn of a joint and back.
 _CORRELATED = 5.0
 # Share of a window in the noise so far; its least value lets earlier windows fade.
@@ -86,7 +95,7 @@ _TILT = 0.3
 
 # Gain in log likelihood from which a shift is certain, and how much more that has to be than any
 # other explanation gains (judgements): of 40 undisturbed runs none gained 1 with such a lead.
-_SURE = 8.0
+_CERTAIN_GAIN = 8.0
 _LEAD = 3.0
 # A smaller shift is no fault [rad], nor is one that no joint's torque feels [doubts].
 _LEAST_SHIFT = 0.06
@@ -267,7 +276,7 @@ class PositionShift:
         _, qdd, trend = np.tensordot(since, signals, 1) / (since @ since)
         # Distance of the torques from a straight line over time.
         distance = signals[:, 2] - tau - np.outer(since, trend)
-        scatter = 9.0 * np.mean(distance**2, axis=0) / self._doubt**2
+        scatter = _SCATTER * np.mean(distance**2, axis=0) / self._doubt**2
         at_rest = _REST * np.exp(-((qd / _REST_SPEED) ** 2))
         state = q[None], qd[None], qdd[None]
         needed = self._needed_torque(Motion(np.zeros(1), *state))[0]
@@ -377,7 +386,7 @@ class PositionShift:
         is_rival[2 * n :] = True
         lead = gains[best] - np.max(gains[is_rival])
         shift = float(self._explanations[best].unknowns[0])
-        is_sure = gains[best] > _SURE and lead > _LEAD
+        is_sure = gains[best] > _CERTAIN_GAIN and lead > _LEAD
         if (
             is_sure
             and abs(shift) > _LEAST_SHIFT

@@ -18,6 +18,36 @@ from robot_sysid.records import Array, Limits
 # A slower joint is at rest [rad/s], and so is one that stays as near [rad] (a judgement).
 _AT_REST = 0.05
 _STRAY = 0.02
+# Damping over stiffness below which a motor, which computes its torque a thousand times a second,
+# swings [s].
+_FASTEST_DECAY = 0.004
+# Torque that may make up for raised stiffness where a joint carries less, as a share of its torque
+# limit: ``confine`` then still lets a motor reach its peak torque.
+_SPARE_SHARE = 0.25
+# A motor obeys its stiffness where its torque is off by less than this share of the torque of its
+# position error, and of its torque limit. With more, the joint of a motor that ignores its gains is
+# thrown by the torque that makes up for more stiffness (by 0.9 to 1.5 rad); with less, rounding and
+# friction keep sound motors soft.
+_MISSING_SHARE = 0.3
+_MISSING_FLOOR = 0.01
+# What acts through the feed-forward torque: its age [cycles], damping over the motor's kd, and
+# stiffness times that age over kd. Larger gains feed energy into light or flexible joints (0.01 to
+# 3 kg m^2 were tried, with samples two cycles older), smaller ones let the joint fall farther.
+_AGE = 1.5
+_ADDED_DAMPING = 0.25
+_ADDED_STIFFNESS = 0.4
+# A joint that goes faster below its reference in the direction of its load sinks [rad/s]: more than
+# a sound joint differs from its reference, so that only a falling one is fed twice its load.
+_SINKING_SPEED = 0.1
+# Time for which light joints bear twice their load [s]: late samples let it act too long.
+_BORNE_LIFT = 0.004
+# Least time in which the feed-forward torque changes to that at rest [s]: a step would throw a
+# light joint.
+_BLEND_TIME = 0.1
+# Distance that a joint moves only where it carries load, and presses against no obstacle [rad].
+_CARRYING_WAY = 0.01
+# Time constant with which a joint that may press against an obstacle is let go [s].
+_RELIEF_TIME = 0.3
 
 
 class CarriedStop(Follower):
@@ -88,14 +118,14 @@ class CarriedStop(Follower):
         # Reference minus joint position.
         self._offset = np.nan_to_num(reference.position - q)
         kp, self._kd = np.array([settings.kp, settings.kd])
-        # Motors that compute their torque a thousand times a second swing with more stiffness than
-        # this, and ``confine`` lets a motor reach its peak torque if the torque that makes up for
-        # the stiffness is no larger than its load.
-        spare = np.maximum(np.abs(fed), 0.25 * limits.torque)
+        # A motor reaches its peak torque if what makes up for the stiffness is no larger than its
+        # load, see ``confine``.
+        spare = np.maximum(np.abs(fed), _SPARE_SHARE * limits.torque)
         most = kp + spare / np.maximum(np.abs(self._offset), 1e-9)
-        raised = np.clip(np.minimum(self._kd / 0.004, most), kp, KP_MAX)
+        raised = np.clip(np.minimum(self._kd / _FASTEST_DECAY, most), kp, KP_MAX)
         # Without its stiffness, a motor would only make the torque that makes up for more of it.
-        doubt = 0.3 * kp * np.abs(self._offset) + 0.01 * limits.torque
+        doubt = _MISSING_SHARE * kp * np.abs(self._offset)
+        doubt += _MISSING_FLOOR * limits.torque
         obeys = np.isfinite(q) & ~stuck & (kp > 0.0) & (np.abs(deviation) <= doubt)
         stiffness = np.where(limp, 0.0, np.where(obeys, raised, kp))
         self.stiffness = stiffness / np.maximum(kp, 1e-9)
@@ -103,14 +133,13 @@ class CarriedStop(Follower):
         self._relieved = -stiffness * self._offset
         kept = np.where(stuck | limp, 0.0, kp)
         self._added = kept * self._offset + self._relieved
-        self._stiffening = 0.4 * self._kd / (1.5 * settings.period)
+        self._stiffening = _ADDED_STIFFNESS * self._kd / (_AGE * settings.period)
         self._has_moved = np.zeros(len(led), dtype=bool)
         sinking_speed = np.sign(fed) * (led - own)
         is_below = self._offset * fed > 0.0
-        self._sinks = is_below & (sinking_speed > 0.1) & ~stuck
+        self._sinks = is_below & (sinking_speed > _SINKING_SPEED) & ~stuck
         self._depth = np.full(len(led), -np.inf)
-        # Late samples let it act too long, which light joints bear for 4 ms.
-        self._lift = fed * min(1.0, 0.004 / settings.period)
+        self._lift = fed * min(1.0, _BORNE_LIFT / settings.period)
 
     def follow(self, q: Array, qd: Array, torque: Array) -> None:
         """Take the believed positions and velocities (n,); the ``torque`` is not used."""
@@ -132,12 +161,12 @@ class CarriedStop(Follower):
         depth = np.sign(self._fed) * lag
         self._sinks &= depth > self._depth
         self._depth = depth
-        # The feed-forward torque is blended from the last one to that at rest, in 0.1 s or more.
-        share = min(time / max(self.duration, 0.1), 1.0)
+        # The feed-forward torque is blended from the last one to that at rest.
+        share = min(time / max(self.duration, _BLEND_TIME), 1.0)
         torque = self._begin.torque + share * (self._fed - self._begin.torque)
         torque = torque + self._added + self._sinks * self._lift
         torque = torque + self._stiffening * np.nan_to_num(lag)
-        torque = torque + 0.25 * self._kd * np.nan_to_num(velocity - self._qd)
+        torque = torque + _ADDED_DAMPING * self._kd * np.nan_to_num(velocity - self._qd)
         has_gone = np.abs(self._q - self._stood) > _STRAY
         self._stood = np.where(has_gone, self._q, self._stood)
         self._gone_at = np.where(has_gone, time, self._gone_at)
@@ -154,10 +183,8 @@ class CarriedStop(Follower):
 
         Nothing is removed from a joint that has ever been a ``distance`` (n,) [rad] away.
         """
-        # A joint that moves as far carries load, and presses against no obstacle.
-        self._has_moved |= distance > 0.01
-        # Within a time constant of 0.3 s.
-        less = min(passed / 0.3, 1.0) * (self._relieved - self._added)
+        self._has_moved |= distance > _CARRYING_WAY
+        less = min(passed / _RELIEF_TIME, 1.0) * (self._relieved - self._added)
         self._added = self._added + np.where(self._has_moved, 0.0, less)
 
     @property
@@ -168,6 +195,12 @@ class CarriedStop(Follower):
 
 LONGEST_LOWERING = 20.0
 """Time after which lowering ends in any case [s]."""
+# Torque from which a joint is lowered with full speed, as a share of its torque limit; less torque,
+# less speed. Dry friction is of this size, and should not move a joint (a judgement).
+_FULL_LOAD_SHARE = 0.05
+# An arm whose joints are lowered no faster [rad/s] for so long [s] lies or hangs.
+_LOWERED_SPEED = 0.02
+_LOWERED_TIME = 0.5
 
 
 class Lowering(Follower):
@@ -187,9 +220,7 @@ class Lowering(Follower):
         self._position = begin.position.copy()
         self._fed = begin.torque
         self._speed = speed
-        # Torque from which a joint is lowered with full speed; less torque, less speed. It is a
-        # judgement: dry friction is of this size, and should not move a joint.
-        self._full_load = 0.05 * limits.torque
+        self._full_load = _FULL_LOAD_SHARE * limits.torque
         self._limits = limits
         self._torque = np.zeros_like(begin.torque)
         self._time = self._moved_at = 0.0
@@ -214,12 +245,11 @@ class Lowering(Follower):
         self._position = np.clip(unlimited, self._limits.lower, self._limits.upper)
         velocity = np.where(self._position == unlimited, velocity, 0.0)
         self._time = time
-        # Slower joints are still.
-        if fed_share > 0.0 or np.max(np.abs(velocity)) > 0.02:
+        if fed_share > 0.0 or np.max(np.abs(velocity)) > _LOWERED_SPEED:
             self._moved_at = time
         return Reference(self._position, velocity, fed_share * self._fed)
 
     @property
     def is_done(self) -> bool:
-        """Whether no joint has been lowered any further for half a second."""
-        return self._time - self._moved_at > 0.5
+        """Whether no joint has been lowered any further for a while."""
+        return self._time - self._moved_at > _LOWERED_TIME

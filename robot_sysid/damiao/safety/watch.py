@@ -33,8 +33,9 @@ the recording shows that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,17 +54,53 @@ from robot_sysid.records.levels import INTERVAL, STOPPING
 # with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
 _SHORT = 0.05
 _LONG = 1.0
-# What the signed means of a joint's two speeds over a second may differ by: in any case [rad/s],
-# four times as much as in the worst of 48 undisturbed runs; by a velocity that is filtered [s]; and
-# by the velocity's scale.
+# What a joint's two speeds may differ by over 0.1 s: in any case [rad/s], and as a share of the
+# speed. With less, the filter of a sound motor's velocity stops a run whose speed changes fast; a
+# gear that slips by 0.3 rad/s has to be seen.
+_SPEED_ERROR = 0.1
+_SPEED_SHARE = 0.05
+# The same of their means over a second, in any case [rad/s], and by the velocity's scale: one of
+# 0.8 or 1.2 has to be seen, 2 % are usual.
+_LONG_SPEED_ERROR = 0.02
+_SCALE = 0.03
+# What the signed means of the two over a second may differ by: in any case [rad/s], four times as
+# much as in the worst of 48 undisturbed runs; and by a velocity that is filtered [s].
 _DRIFT = 0.01
 _LATE = 0.01
-_SCALE = 0.03
-# Most that the torque which a joint needs may change within a second without a word, over its
-# motor's peak: a motor that makes half of its torque needs more than that of a loaded joint.
+# Factor by which a joint may slow down within a cycle before its samples say nothing of its speed:
+# it may come to rest within each cycle.
+_MOST_SLOWED = 2.0
+# What a reported torque may be off its command: over 0.1 s, as a share of the peak torque; over a
+# second, as a share of the commanded torque, and at least of the peak. A torque constant is a few
+# per cent off, and 10 % have to pass; a factor of 0.8 or 1.25 has to be seen.
+_TORQUE_ERROR = 0.15
+_LONG_TORQUE_SHARE = 0.1
+_LONG_TORQUE_FLOOR = 0.01
+# Peak torque over what a reported torque may be off the one that is fed forward: two thirds of the
+# peak are more than any excitation needs.
+_PEAK_OVER_EXCITATION = 1.5
+# By how much the torque that a joint needs may change within a second without a word. It is that of
+# a position error [rad], but at least a share of the motor's peak torque: a standing joint has no
+# friction that reverses, so that its share is lower.
+_SUDDEN_ERROR = 0.05
+_STANDING_LOAD = 0.03
+_MOVING_LOAD = 0.1
+# And at most this share of the peak: a motor that makes half of its torque needs more than that of
+# a loaded joint.
 _MOST_LOAD = 0.2
 # Amplitude of a swing over the mean of its part on one side.
 _CREST = np.pi
+# Share of its commanded speed below which a joint presses against something (a judgement).
+_BLOCKED_SHARE = 0.3
+# Of a position that does not change at all: number of answers, and of steps [position steps] by
+# which its command has gone on, from which it is stale; below which share of the peak torque the
+# reported torque follows the command, half of ``_TORQUE_ERROR``, so that the motor controls what it
+# reports; and the path [rad] that a joint which turns round stands still for with the usual
+# stiffness, while friction and its fed torque reverse.
+_LEAST_REPEATS = 3
+_LED_STEPS = 20.0
+_FOLLOWS_SHARE = 0.075
+_TURNING_WAY = 0.03
 # Rows of the watch: which of the three disagrees, then its two numbers.
 _ROWS = (
     "position: it is at {:.3f} rad, and commanded to {:.3f}",
@@ -115,6 +152,14 @@ PLAYING = Phase()
 """A phase in which the arm follows a motion."""
 
 
+class _Comparison(NamedTuple):
+    """What a row of the watch compares, of n joints each, and by how much it may differ."""
+
+    measured: Array
+    expected: Array
+    bound: Array
+
+
 class Watch:
     """Checks the replies of n joints in every cycle; HardwareAbort names the first fault.
 
@@ -150,8 +195,7 @@ class Watch:
         self._holding = holding
         self._shift = holding.position_shift()
         kp = np.maximum(settings.kp, 1e-9)
-        # The torque of a position error of 0.05 rad.
-        self._spring = 0.05 * kp
+        self._spring = _SUDDEN_ERROR * kp
         rated = np.array([joint.spec.rated_torque for joint in joints])
         # How far a standing joint may sag: an arm half a radian from the first point, or with a new
         # load, needs half of this. And how far it may go where its own torque pushes it.
@@ -276,31 +320,86 @@ class Watch:
 
         The arguments are those of ``check``. A joint without an answer is not judged.
         """
-        settings = self._settings
-        peak = self._peak
         q = replies.feedback.position
-        turn, way, speed, led, tau, commanded, fed, added, _ = self._short
-        _, long_way, long_speed, _, long_tau, long_commanded, long_fed, _, _ = (
-            self._long
-        )
-        drift_way, drift_speed = self._drift
-        # Positions that drift are not in these velocities. A right arm differs by a late velocity,
-        # by its scale, and by rounding where it moves slowly.
-        drift_bound = (
-            _DRIFT
-            + _LATE * np.abs(speed - drift_speed)
-            + _SCALE * np.abs(drift_speed)
-            + 0.5 * self._velocity_step
-        )
-        tracking = np.array(settings.tracking)
+        tracking = np.array(self._settings.tracking)
         if phase.stands:
             tracking = self.standing_limit(q, acted.position, acted.torque)
-        # A standing joint has no friction that reverses, so its bound is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
         stands &= self._long[3] <= self._velocity_step
-        load = np.clip(
-            self._spring, np.where(stands, 0.03, 0.1) * peak, _MOST_LOAD * peak
+
+        # In the order of ``_ROWS``.
+        rows = [
+            _Comparison(q, acted.position, tracking),
+            *self._speed_comparisons(),
+            *self._torque_comparisons(self._load_bound(stands, followed)),
+        ]
+        measured, expected, bounds = map(np.array, zip(*rows))
+        if phase.rises:
+            bounds[_FED:] = np.inf
+        if phase.settles:
+            bounds[_NEEDED] = np.inf
+        bounds[_SAMPLED, self._slowed > _MOST_SLOWED] = np.inf
+
+        residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
+        self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
+        excess = residuals / bounds
+        k, j = divmod(int(np.argmax(excess)), len(q))
+        if excess[k, j] <= 1.0:
+            return
+        _, way, _, led, *_ = self._short
+        self.stuck |= (np.abs(way) < _BLOCKED_SHARE * np.abs(led)) & ~stands
+        self._raise(j, _ROWS[k].format(measured[k, j], expected[k, j]))
+
+    def _speed_comparisons(self) -> Iterator[_Comparison]:
+        """Yield the rows of speeds: against the command, over 0.1 and 1 s, and with their signs."""
+        turn, way, speed, led, *_ = self._short
+        long_turn, long_way, long_speed, *_ = self._long
+        drift_way, drift_speed = self._drift
+        most_beside_led = self._settings.max_speed_error + 2.0 * self._velocity_step
+        yield _Comparison(way, led, most_beside_led)
+        bound = _SPEED_ERROR + _SPEED_SHARE * np.abs(speed)
+        bound = bound + self._velocity_step + 0.5 * turn
+        yield _Comparison(way, self._slowed_speed(way, speed), bound)
+        long_bound = _LONG_SPEED_ERROR + _SCALE * long_speed
+        long_bound = long_bound + 0.5 * (self._velocity_step + long_turn)
+        yield _Comparison(
+            long_way, self._slowed_speed(long_way, long_speed), long_bound
         )
+        # Positions that drift are not in these velocities. A right arm differs by a late velocity,
+        # by its scale, and by rounding where it moves slowly.
+        drift_bound = _DRIFT + _LATE * np.abs(speed - drift_speed)
+        drift_bound = drift_bound + _SCALE * np.abs(drift_speed)
+        drift_bound = drift_bound + 0.5 * self._velocity_step
+        yield _Comparison(
+            drift_way, self._slowed_speed(drift_way, drift_speed), drift_bound
+        )
+
+    def _torque_comparisons(self, load: Array) -> Iterator[_Comparison]:
+        """Yield the rows of torques: against the command, over 0.1 and 1 s, what is fed and needed.
+
+        ``load`` (n,) is by how much what a joint needs may change within a second [N m].
+        """
+        tau, commanded, fed, added, _ = self._short[4:]
+        long_tau, long_commanded, long_fed, _, _ = self._long[4:]
+        peak = self._peak
+        bound = _TORQUE_ERROR * peak + 4.0 * self._torque_step
+        yield _Comparison(tau, commanded, bound)
+        floor = np.maximum(4.0 * self._torque_step, _LONG_TORQUE_FLOOR * peak)
+        long_bound = _LONG_TORQUE_SHARE * long_commanded + floor
+        yield _Comparison(long_tau, long_commanded, long_bound)
+        yield _Comparison(tau, fed, peak / _PEAK_OVER_EXCITATION)
+        # A wrong model gets half of a change of the feed-forward torque wrong.
+        needed_bound = load + 0.5 * np.abs(fed - long_fed)
+        yield _Comparison(fed + added, fed + self._usually_added, needed_bound)
+
+    def _load_bound(self, stands: Mask, followed: Reference) -> Array:
+        """Return by how much the torque that each joint (n,) needs may change within a second.
+
+        ``stands`` (n,) says which joints are led nowhere, ``followed`` is the reference [N m].
+        """
+        peak = self._peak
+        least = np.where(stands, _STANDING_LOAD, _MOVING_LOAD) * peak
+        load = np.clip(self._spring, least, _MOST_LOAD * peak)
         # What the weight is usually off changes with the pose: by all of it within a radian. An arm
         # that sinks where it is to stand has not been led anywhere.
         moved = np.minimum(_LONG * np.max(self._long[3], initial=0.0), 1.0)
@@ -310,50 +409,7 @@ class Watch:
         # that sticks and slips needs its friction one way, and at once the other way.
         swinging = load + _CREST * np.min(self._swing, axis=0)
         moving = np.maximum(swinging, 2.0 * self._friction)
-        load = np.where(stands, load, moving)
-        torque_floor = np.maximum(4.0 * self._torque_step, 0.01 * peak)
-        # Measured, expected and bound of each of ``_ROWS``.
-        rows = [
-            (q, acted.position, tracking),
-            (way, led, settings.max_speed_error + 2.0 * self._velocity_step),
-            (
-                way,
-                self._slowed_speed(way, speed),
-                0.1 + 0.05 * np.abs(speed) + self._velocity_step + 0.5 * turn,
-            ),
-            (
-                long_way,
-                self._slowed_speed(long_way, long_speed),
-                0.02 + 0.03 * long_speed + 0.5 * (self._velocity_step + self._long[0]),
-            ),
-            (drift_way, self._slowed_speed(drift_way, drift_speed), drift_bound),
-            (tau, commanded, 0.15 * peak + 4.0 * self._torque_step),
-            (long_tau, long_commanded, 0.1 * long_commanded + torque_floor),
-            # More than any excitation needs.
-            (tau, fed, peak / 1.5),
-            # A wrong model gets half of a change of the feed-forward torque wrong.
-            (
-                fed + added,
-                fed + self._usually_added,
-                load + 0.5 * np.abs(fed - long_fed),
-            ),
-        ]
-        measured, expected, bounds = map(np.array, zip(*rows))
-        if phase.rises:
-            bounds[_FED:] = np.inf
-        if phase.settles:
-            bounds[_NEEDED] = np.inf
-        # Samples say nothing of a joint that may come to rest within each cycle.
-        bounds[_SAMPLED, self._slowed > 2.0] = np.inf
-        residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
-        self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
-        excess = residuals / bounds
-        k, j = divmod(int(np.argmax(excess)), len(q))
-        if excess[k, j] <= 1.0:
-            return
-        # A joint that moves much less than commanded presses against something.
-        self.stuck |= (np.abs(way) < 0.3 * np.abs(led)) & ~stands
-        self._raise(j, _ROWS[k].format(measured[k, j], expected[k, j]))
+        return np.where(stands, load, moving)
 
     @property
     def _usually_added(self) -> Array:
@@ -428,11 +484,11 @@ class Watch:
         self._repeats_since = np.where(begins, command, self._repeats_since)
         self._repeats = np.where(begins, 0, self._repeats + is_same)
         led_by, turned_by = np.abs(command - self._repeats_since)
-        is_led = (led_by > 20.0 * self._position_step) & (self._repeats >= 3)
-        follows = np.abs(commanded - feedback.torque) < 0.075 * self._peak
-        # A joint that turns round stands still while friction, and its fed torque, reverse;
-        # with the usual stiffness that takes less than 0.03 rad of its path.
-        is_frozen = is_led & follows & (led_by > 0.03)
+        is_led = led_by > _LED_STEPS * self._position_step
+        is_led &= self._repeats >= _LEAST_REPEATS
+        follows = np.abs(commanded - feedback.torque) < _FOLLOWS_SHARE * self._peak
+        # A joint that turns round stands still while friction, and its fed torque, reverse.
+        is_frozen = is_led & follows & (led_by > _TURNING_WAY)
         is_frozen &= turned_by > 2.0 * self._doubt
         # Answers that stay the same at a velocity of more than two steps per cycle are old, too.
         moves = (

@@ -151,7 +151,7 @@ def test_time_makes_no_position_credible(angle, sign, gap):
         believed, _, jump = judge.believe(*answer(k, q=p + sign * angle, tau=3.0))
         assert not believed[0]
         assert jump[0] == 0.0
-    assert not judge.misled[0]
+    assert not judge.is_misled[0]
 
 
 @given(angle=st.floats(0.2, 12.0), sign=st.sampled_from([-1.0, 1.0]))
@@ -182,7 +182,7 @@ def test_a_position_that_the_motors_own_control_follows_is_named_at_once(angle, 
     driven = command.motor_torque(np.array([q]), np.array([swing(11)[1]]))[0]
     tau = float(np.clip(driven, -PEAK, PEAK))
     believed, _, jump = judge.believe(*answer(11, q=q, tau=tau))
-    assert not believed[0] and judge.misled[0]
+    assert not believed[0] and judge.is_misled[0]
     assert abs(jump[0] - sign * angle) < 0.01
 
 
@@ -221,8 +221,7 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     start = session.enable()
     waiting = list(answers)
     for motor in bus.motors:
-        sound = motor._feedback
-        motor._feedback = lambda sound=sound: waiting.pop(0) if waiting else sound()
+        motor.next_answers = waiting
     clock = bus.clock
     last = start.copy()
     enabled_at = clock.now()
