@@ -1,8 +1,8 @@
 """How far the arm is from itself, from the scene and from forbidden half-spaces, by MuJoCo.
 
-MuJoCo finds every pair of geoms nearer than a margin, with distance, point and normal; half-spaces
-are tested against the extreme point of each body. The gradient of a distance is the relative
-velocity of the two nearest points along the normal, per unit joint rate.
+MuJoCo finds every pair of geoms nearer than a margin, with distance, point and normal; the
+boundaries of half-spaces are planes of a compiled copy (``planes``). The gradient of a distance is
+the relative velocity of the two nearest points along the normal, per unit joint rate.
 
 Links next to each other that overlap at rest, and links that overlap whatever the joints between
 them do, do so by design of the model and are ignored. Any other pair that touches at rest may never
@@ -18,7 +18,7 @@ link lengths in between plus the outer body's own extent.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -33,7 +33,7 @@ from robot_sysid.model.bodies import (
     update_contacts,
 )
 from robot_sysid.model.chain import body_label
-from robot_sysid.motion.solids import Solid, solids_of
+from robot_sysid.motion.planes import NearPlanes, Planes
 from robot_sysid.records import Array, HalfSpace, Limits, RobotModel
 from robot_sysid.spatial import cross
 
@@ -70,7 +70,7 @@ class _Near(NamedTuple):
         slack: (C,) distance minus required distance [m].
         normal: (C, 3) unit vector from the first body to the second, in the world.
         point: (C, 3) where the two are nearest, in the world [m].
-        wall: (C,) index of the half-space's boundary, -1 for a pair of two bodies.
+        wall: (C,) index of the half-space, -1 for a pair of two bodies.
     """
 
     posture: Any
@@ -88,6 +88,66 @@ class _Near(NamedTuple):
         tightest = order[first]
         tightest = tightest[self.slack[tightest] < HORIZON]
         return _Near(*(values[tightest] for values in self))
+
+
+class _Walls:
+    """Boundaries of half-spaces, and the height above them that bodies have to keep.
+
+    A body near a boundary at rest keeps half of its height there.
+
+    Args:
+        mj_model: the arm's model.
+        data: MuJoCo's data of it at rest.
+        spaces: the half-spaces.
+
+    Attributes:
+        spaces: as above.
+        planes: their boundaries.
+
+    Raises:
+        InputError: a body is outside a half-space at rest.
+    """
+
+    def __init__(self, mj_model: Any, data: Any, spaces: Sequence[HalfSpace]) -> None:
+        self.spaces = spaces
+        self._normals = np.array([space.normal for space in spaces])
+        bodies = np.concatenate([space.bodies for space in spaces])
+        boundaries = [(space.normal, space.offset) for space in spaces]
+        margin = HORIZON + max(space.clearance for space in spaces)
+        self.planes = Planes(mj_model, bodies, boundaries, margin)
+        near = self.planes.near(data)
+        heights = np.full((len(spaces), mj_model.nbody), np.inf)
+        np.minimum.at(heights, (near.plane, near.body), near.distance)
+        # (spaces, nbody) [m]; bodies that a half-space does not hold for may be anywhere.
+        self._required = np.full_like(heights, -np.inf)
+        for number, space in enumerate(spaces):
+            held = np.intersect1d(space.bodies, self.planes.bodies)
+            height = heights[number, held]
+            if np.any(height <= 0.0):
+                first = np.argmax(height <= 0.0)
+                body = body_label(mj_model, held[first].item())
+                raise InputError(
+                    f"no trajectory is feasible: at rest, body {body} is "
+                    f"{-1000 * height[first]:.0f} mm beyond {space.label}; move that limit, or "
+                    "change the model's reference configuration"
+                )
+            kept = np.minimum(space.clearance, KEPT_SHARE * height)
+            self._required[number, held] = kept
+
+    def pairs(self, postures: Sequence[NearPlanes]) -> _Near:
+        """Return the pairs of boundaries and bodies that are near each other in postures."""
+        counts = [len(near.plane) for near in postures]
+        wall, body, distance, point = map(np.concatenate, zip(*postures))
+        return _Near(
+            posture=np.repeat(np.arange(len(postures)), counts),
+            # A boundary is part of the world, body 0.
+            bodies=np.stack((np.zeros_like(body), body), axis=1),
+            distance=distance,
+            slack=distance - self._required[wall, body],
+            normal=self._normals[wall],
+            point=point,
+            wall=wall,
+        )
 
 
 class Clearance:
@@ -116,8 +176,7 @@ class Clearance:
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
         self._joints = model.dof_jntid[robot.dof_index]
-        # Boundaries of half-spaces: each for one body, with the height to keep above it [m].
-        self._walls: list[tuple[HalfSpace, Solid, float]] = []
+        self._walls: _Walls | None = None
         self._link_of_body = link_of_body = count_moving_joints(robot)
         self.rates, rows = approach_rates(robot, self._data, link_of_body)
         # (nbody, nbody) the row of ``rates`` of each pair of bodies.
@@ -125,7 +184,10 @@ class Clearance:
         self._required = np.full((model.nbody, model.nbody), clearance)
         self.collisions = self._set_required_distances(start, clearance)
         self._ignore_harmless_neighbours(start)
-        self._set_required_heights(start, limits.spaces)
+        if limits.spaces:
+            self._data.qpos[robot.qpos_index] = start
+            mujoco.mj_kinematics(model, self._data)
+            self._walls = _Walls(model, self._data, limits.spaces)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments: a pickle of MuJoCo's data ends the process in 3.0."""
@@ -177,8 +239,8 @@ class Clearance:
             return Closest(HORIZON)
         first, second = near.bodies[0].tolist()
         label = self._label(first, second)
-        if near.wall[0] >= 0:
-            space, _, _ = self._walls[near.wall[0]]
+        if self._walls is not None and near.wall[0] >= 0:
+            space = self._walls.spaces[near.wall[0]]
             label = f"{body_label(self._model, second)} and {space.label}"
         return Closest(near.slack[0], near.distance[0], label)
 
@@ -192,20 +254,16 @@ class Clearance:
         ``frames`` (2, N, joints of the model, 3) is filled with the joints' axes and anchors.
         """
         data = self._data
-        n_bodies = self._model.nbody
-        positions = np.empty((len(q), n_bodies, 3))
-        rotations = np.empty((len(q), n_bodies, 9))
         found = []
+        near_walls = []
         for k, configuration in enumerate(q):
             data.qpos[self._robot.qpos_index] = configuration
             update_contacts(self._model, data)
             contact = data.contact
             fields = (contact.geom, contact.dist, contact.frame, contact.pos)
             found.append((np.full(data.ncon, k), *map(np.array, fields)))
-            # Entire arrays: choosing bodies in each posture takes ten times as long.
-            if self._walls:
-                positions[k] = data.xpos
-                rotations[k] = data.xmat
+            if self._walls is not None:
+                near_walls.append(self._walls.planes.near(data))
             if frames is not None:
                 frames[:, k] = data.xaxis, data.xanchor
         posture, geoms, distance, frame, point = map(np.concatenate, zip(*found))
@@ -215,30 +273,9 @@ class Clearance:
         slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
         wall = np.full(len(posture), -1)
         pairs = _Near(posture, bodies, distance, slack, frame[:, :3], point, wall)
-        parts = [pairs, *self._near_walls(positions, rotations)]
-        return _Near(*map(np.concatenate, zip(*parts)))
-
-    def _near_walls(self, positions: Array, rotations: Array) -> Iterator[_Near]:
-        """Yield for each boundary the postures in which its body is near it.
-
-        Args:
-            positions: (N, nbody, 3) MuJoCo's xpos of all bodies in N postures [m].
-            rotations: (N, nbody, 9) MuJoCo's xmat of all bodies.
-        """
-        for number, (space, solid, required) in enumerate(self._walls):
-            lowest = solid.lowest(positions, rotations, space.normal)
-            height = lowest @ space.normal - space.offset
-            posture = np.flatnonzero(height - required < HORIZON)
-            count = len(posture)
-            yield _Near(
-                posture,
-                np.tile([0, solid.body], (count, 1)),
-                height[posture],
-                height[posture] - required,
-                np.tile(space.normal, (count, 1)),
-                lowest[posture],
-                np.full(count, number),
-            )
+        if self._walls is None:
+            return pairs
+        return _Near(*map(np.concatenate, zip(pairs, self._walls.pairs(near_walls))))
 
     def _set_required_distances(self, start: Array, clearance: float) -> list[str]:
         """Set ``self._required``, in place, to the distance that each pair has to keep, from its
@@ -271,32 +308,6 @@ class Clearance:
             self._required[a, b] = self._required[b, a] = required
         return collisions
 
-    def _set_required_heights(
-        self, start: Array, half_spaces: Sequence[HalfSpace]
-    ) -> None:
-        """Set the boundaries of half-spaces.
-
-        Bodies near a boundary at joint positions ``start`` (n,) keep half of their height above it.
-
-        Raises:
-            InputError: a body is outside a half-space there.
-        """
-        data = self._data
-        data.qpos[self._robot.qpos_index] = start
-        mujoco.mj_kinematics(self._model, data)
-        for space in half_spaces:
-            for solid in solids_of(self._model, space.bodies):
-                height = solid.height(data, space.normal) - space.offset
-                if height <= 0.0:
-                    body = body_label(self._model, solid.body)
-                    raise InputError(
-                        f"no trajectory is feasible: at rest, body {body} is "
-                        f"{-1000 * height:.0f} mm beyond {space.label}; move that limit, or "
-                        "change the model's reference configuration"
-                    )
-                required = min(space.clearance, KEPT_SHARE * height)
-                self._walls.append((space, solid, required))
-
     def _ignore_harmless_neighbours(self, start: Array) -> None:
         """Ignore pairs of neighbours that keep their distance over the entire range of the joint
         between them, the other joints at ``start`` (n,).
@@ -318,6 +329,26 @@ class Clearance:
             np.minimum.at(slacks, pairs, near.slack[is_neighbour])
         slacks = np.minimum(slacks, slacks.T)
         self._required[(slacks >= 0.0) & np.isfinite(slacks)] = -np.inf
+
+
+def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
+    """Return the names of the moving links with mass, but without geometry that can meet any that
+    moves against it, from the base on.
+    """
+    model = robot.mj_model
+    # (ngeom,) number of the link that each geom is part of, from 1; 0 for what does not move.
+    link_of_geom = count_moving_joints(robot)[model.geom_bodyid]
+    # Geoms meet if a bit of one's contype is set in the other's conaffinity, or as a pair.
+    meets = (model.geom_contype[:, None] & model.geom_conaffinity) != 0
+    meets[model.pair_geom1, model.pair_geom2] = True
+    moves = link_of_geom[:, None] != link_of_geom
+    can_meet = np.any((meets | meets.T) & moves, axis=1)
+    guarded = set(link_of_geom[can_meet].tolist())
+    return tuple(
+        link.body_name
+        for number, link in enumerate(robot.links, start=1)
+        if link.has_mass and number not in guarded
+    )
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:

@@ -13,7 +13,7 @@ from rigs.arms import SEEDS, X, Y, Z, hinge, link, world
 from rigs.excitation_arms import TUBES_AND_POST, robot
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.motion import LimitOptions
-from robot_sysid.motion.clearance import KEPT_SHARE, Clearance
+from robot_sysid.motion.clearance import KEPT_SHARE, Clearance, unguarded_links
 from robot_sysid.records import Limits
 
 KEEP = 0.01
@@ -164,3 +164,27 @@ def test_the_slack_of_a_pair_depends_on_its_gap_at_rest(gap, collisions, slack):
     arm = robot(balls_with_gap(gap))
     started = Clearance(arm, np.array([-0.3, 0.0]), Limits(clearance=KEEP))
     assert started.closest(np.zeros(2)).slack == pytest.approx(gap - KEEP, abs=1e-6)
+
+
+SHELL = '<geom size=".03" pos="0 0 .1"/>'
+PART = '<body><geom size=".03" mass=".1"/></body>'
+ONE_SIDED = '<geom size=".03" pos="0 0 .1" contype="1" conaffinity="0"/>'
+DRAWN = '<geom size=".03" contype="0" conaffinity="0"/>'
+
+
+@pytest.mark.parametrize(
+    ("shells", "names"),
+    [
+        ((SHELL, "", SHELL), ("link1",)),
+        ((DRAWN, PART, SHELL), ("link0",)),
+        ((SHELL, "", ""), ("link0", "link1", "link2")),
+        ((ONE_SIDED, ONE_SIDED, ""), ("link0", "link1", "link2")),
+    ],
+)
+def test_links_that_nothing_keeps_from_a_contact_are_named(shells, names):
+    """Geometry that is only drawn, or can meet nothing, is none."""
+    content = ""
+    for index, shell in reversed(list(enumerate(shells))):
+        joint = hinge(f"joint{index}", (Z, X, Z)[index])
+        content = link(joint, shell + content, f"link{index}")
+    assert unguarded_links(robot(world(content))) == names
