@@ -451,7 +451,9 @@ def joint_cause(spoil: Callable[[Scene], Scene], *names: str) -> Cause:
 
 CONTRADICTED = "probably wrong|contradict"
 """Words for a number of the model that the log contradicts."""
-NO_TORQUE = "without torque|no torque|torques? .*(are|is) .*zero"
+NO_TORQUE = (
+    "without torque|no torque|(are|is) ((all|but|nearly|next|to) )*zero|zero throughout"
+)
 """Words for a column that has no torque in it."""
 TORQUE_MISTAKES = {
     "external_with_payload": Cause(
@@ -502,7 +504,11 @@ MODEL_MISTAKES = {
     "loaded_forearm": Cause(loaded_forearm, (("link",),), CONTRADICTED),
     "light_forearm": Cause(light_forearm, (("model", "link"),), CONTRADICTED),
     "centre_off": Cause(centre_off, (("link",),), CONTRADICTED),
-    "small_inertias": Cause(small_inertias, (("link",),), CONTRADICTED),
+    "small_inertias": Cause(
+        small_inertias,
+        (("link",),),
+        f"inertia.*({CONTRADICTED})|({CONTRADICTED}).*inertia",
+    ),
     "biased_actuator": Cause(
         biased_actuator, (("actuator",),), "actuator.*(bias|passive|force|torque)"
     ),
