@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import traceback
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import cache
@@ -24,8 +25,15 @@ SHAPES = ("geoms", "meshes", "materials", "textures", "lights", "cameras", "keys
 """Elements of a model without which it compiles in no time, and has the same dynamics."""
 
 
+CRASH = "Traceback (most recent call last)"
+"""What standard error has of a program that crashed."""
+
+
 def run_command(*words: str | Path) -> tuple[int, str, str]:
-    """Return (exit code, standard output, standard error) of a command, run in this process."""
+    """Return (exit code, standard output, standard error) of a command, run in this process.
+
+    A crash has a traceback in its standard error, as in a process of its own.
+    """
     output = io.StringIO()
     messages = io.StringIO()
     with redirect_stdout(output), redirect_stderr(messages):
@@ -33,6 +41,9 @@ def run_command(*words: str | Path) -> tuple[int, str, str]:
             code = main([str(word) for word in words])
         except SystemExit as end:
             code = int(end.code or 0)
+        except Exception:
+            traceback.print_exc()
+            code = 1
     return code, output.getvalue(), messages.getvalue()
 
 

@@ -1,7 +1,11 @@
 """Which faults the checks name for logs and models with one known fault, and what others cost.
 
     python -m benchmarks.confusion MODELS_FOLDER [--arms ur5e iiwa14 ...] [--causes ripple ...]
-        [--deviations real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers]
+        [--deviations real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers] [--jobs 1]
+
+``--causes`` takes the names of causes, "usual" for those of ``benchmarks.confusion_causes`` and
+"mistakes" for those of ``benchmarks.confusion_mistakes``. Logs are judged in so many processes at
+once as ``--jobs`` says.
 
 Arms are drawn as in ``benchmarks.real_arms``, one per model, deviation and seed, the same for all
 causes and durations, so that rows can be compared. Causes without a fault ("right" has logs of 6,
@@ -14,10 +18,11 @@ are the answers of the commands ``log`` and ``identify``. Another checkout is ju
 Per cause, logs are counted by what is said of them: by findings of ``log`` of any level, motors
 over two joints that the estimate finds, and remarks of the estimate:
 
-rightly     every fault has its right name (and that of the joint or body, where one is wrong)
+rightly     every fault has its right name (and that of the joint or body, where one is wrong, and
+            of no other joint)
 doubt       no right name, or not of every fault: a finding lists several causes that fit equally
             well, or says that a part of the torque is not explained, or the verdict is against it
-misnamed    all findings have other names
+misnamed    all findings have other names, the right one blames a second joint, or a command crashes
 silent      nothing is said
 
 Then they are counted by what they cost:
@@ -30,9 +35,10 @@ harmful     a trusted mass of the last link that is 20 % and two stated errors o
 off         a trusted answer's mass that is two stated errors off (harmful ones included)
 sound       any other trusted mass
 
-Then come the mean processor time of both commands and each set of names. Where the payload changes
-within a log, the nearest of the true masses counts. Below each cause are its failures: wrong logs
-that are not named rightly, right logs that are named, harmful answers.
+A command that ends with a traceback is found as "crash", and refused. Then come the mean processor
+time of both commands and each set of names. Where the payload changes within a log, the nearest of
+the true masses counts. Below each cause are its failures: wrong logs that are not named rightly,
+right logs that are named, harmful answers.
 """
 
 from __future__ import annotations
@@ -44,14 +50,18 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.answers import (
+    CRASH,
     bare_model_text,
     identify_logs,
     model_text,
@@ -59,13 +69,20 @@ from benchmarks.answers import (
     run_command,
     write_log,
 )
-from benchmarks.confusion_causes import CAUSES, RIGHT, Cause, Scene, draw_scene
+from benchmarks.confusion_causes import CAUSES as USUAL_CAUSES
+from benchmarks.confusion_causes import RIGHT, Cause, Scene, draw_scene
+from benchmarks.confusion_mistakes import MISTAKES
 from benchmarks.real_arms import USUAL_ARMS
 from rigs.params import motors, rows
 from rigs.wrong_arms import ARMS, DEVIATIONS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording
 
+GROUPS = {"usual": USUAL_CAUSES, "mistakes": MISTAKES}
+CAUSES = {**USUAL_CAUSES, **MISTAKES}
+"""Cause by its name."""
+CRASHED = "crash"
+"""Name of the finding that a command ended with a traceback."""
 RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
 """Durations of right logs [s]."""
 NAMINGS = ("rightly", "doubt", "misnamed", "silent")
@@ -90,6 +107,11 @@ class Finding:
     text: str
     options: tuple[str, ...] = ()
     correction: dict[str, Any] | None = None
+
+    @classmethod
+    def of_crash(cls, messages: str) -> Finding:
+        """Return the finding that a command crashed, with the last line of its traceback."""
+        return cls(CRASHED, "refuses", messages.strip().rpartition("\n")[2])
 
     @classmethod
     def of_entry(cls, entry: dict[str, Any]) -> Finding:
@@ -122,6 +144,7 @@ class Answer:
         is_trusted: whether the verdict is for it.
         motors: those over two joints that are found.
         remarks: what is said of the result.
+        crash: the last line of a traceback; "" for none.
     """
 
     mass: float
@@ -130,6 +153,7 @@ class Answer:
     is_trusted: bool
     motors: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    crash: str = ""
 
     @property
     def is_far(self) -> bool:
@@ -148,6 +172,8 @@ class Answer:
 
     def describe(self) -> str:
         """Return it in words."""
+        if self.crash:
+            return f"CRASH: {self.crash}"
         if np.isnan(self.mass):
             return "the identification fails"
         verdict = "trusted" if self.is_trusted else "not trusted"
@@ -164,6 +190,7 @@ class Outcome:
         answer: None where the log is stopped or no answer is asked for.
         advised: answers after following the advice of findings that stop the log.
         culprit: name of the joint or body that is wrong; "" where none is alone.
+        innocents: names of the other joints, where one joint is wrong.
     """
 
     findings: tuple[Finding, ...]
@@ -171,11 +198,26 @@ class Outcome:
     answer: Answer | None
     advised: tuple[Answer, ...] = ()
     culprit: str = ""
+    innocents: tuple[str, ...] = ()
 
     @property
     def is_stopped(self) -> bool:
         """Return whether the log is refused or doubted."""
         return any(finding.level != "says" for finding in self.findings)
+
+    @property
+    def is_crash(self) -> bool:
+        """Return whether a command ended with a traceback."""
+        answers = self.advised if self.answer is None else (self.answer, *self.advised)
+        return any(f.about == CRASHED for f in self.findings) or any(
+            answer.crash for answer in answers
+        )
+
+    def blames_innocents(self, cause: Cause) -> bool:
+        """Return whether a finding with a right name is about a second joint, too."""
+        names = {name for fault in cause.faults for name in fault}
+        texts = [f.text for f in self.findings if f.about in names]
+        return any(name in text for name in self.innocents for text in texts)
 
     @property
     def names(self) -> str:
@@ -195,6 +237,8 @@ class Outcome:
         if cause.words and any(re.search(cause.words, text) for text in texts):
             named = [True]
         is_culprit_said = any(self.culprit in text for text in ["", *texts])
+        if self.is_crash or self.blames_innocents(cause):
+            return "misnamed"
         if cause.faults and all(named) and is_culprit_said:
             return "rightly"
         is_untrusted = self.answer is not None and not self.answer.is_trusted
@@ -205,6 +249,8 @@ class Outcome:
 
     def classify_costs(self) -> Iterator[str]:
         """Yield what the log costs its user, see the module."""
+        if self.is_crash:
+            yield CRASHED
         if self.is_stopped:
             yield "stopped"
         answers = self.advised if self.answer is None else (self.answer, *self.advised)
@@ -226,14 +272,28 @@ class Judge:
     def __init__(self, scene: Scene, folder: Path) -> None:
         self.scene = scene
         self.folder = folder
-        self.model = scene.other_path or folder / "model.xml"
+        own_name = "model.urdf" if scene.urdf else "model.xml"
+        self.model = scene.other_path or folder / own_name
         self.joint_names = scene.robot.joint_names
         if scene.other_path is not None:
             self.joint_names = load_robot_model(scene.other_path).joint_names
         if scene.other_path is None:
-            text = bare_model_text(scene.path)
-            text = text if scene.edit is None else model_text(scene.path, scene.edit)
-            self.model.write_text(text)
+            self.model.write_text(scene.urdf or self.edited_text())
+
+    def edited_text(self) -> str:
+        """Return the right model, or what the scene makes of it, as MJCF."""
+        scene = self.scene
+        if scene.edit is None:
+            return bare_model_text(scene.path)
+        return model_text(scene.path, scene.edit)
+
+    @property
+    def innocents(self) -> tuple[str, ...]:
+        """Return the names of the other joints, where one joint is wrong; else ()."""
+        names = self.joint_names
+        if self.scene.culprit not in names:
+            return ()
+        return tuple(name for name in names if name != self.scene.culprit)
 
     def write_logs(self, logs: Sequence[Recording]) -> list[Path]:
         """Write logs and return their files."""
@@ -248,16 +308,19 @@ class Judge:
         content = json.loads(output) if output.startswith("{") else {}
         entries = content.get("findings", ())
         yield from map(Finding.of_entry, entries)
-        if code and not entries:
+        if CRASH in messages:
+            yield Finding.of_crash(messages)
+        elif code and not entries:
             error = [line for line in messages.splitlines() if "error:" in line]
             yield Finding("error", "refuses", "".join(error[:1]) or messages)
 
     def identify(self, paths: Sequence[Path], *options: str) -> Answer:
         """Return the answer of ``identify``; one that fails is not trusted."""
         true_masses = self.scene.last_masses
-        content, _ = identify_logs(self.folder, self.model, paths, *options)
+        content, printed = identify_logs(self.folder, self.model, paths, *options)
         if content is None:
-            return Answer(np.nan, np.nan, true_masses[0], False)
+            crash = Finding.of_crash(printed).text if CRASH in printed else ""
+            return Answer(np.nan, np.nan, true_masses[0], False, crash=crash)
         row = rows(content)[content["body_name"], "mass"]
         mass = float(row["value"])
         return Answer(
@@ -290,17 +353,18 @@ def check_scene(scene: Scene, is_answered: bool) -> Outcome:
         start = time.process_time()
         findings = [finding for path in paths for finding in judge.find(path)]
         seconds = time.process_time() - start
-        if not is_answered:
-            return Outcome(tuple(findings), seconds, None, (), scene.culprit)
-        if any(finding.level != "says" for finding in findings):
+        advised: tuple[Answer, ...] = ()
+        answer = None
+        if is_answered and any(finding.level != "says" for finding in findings):
             advised = tuple(judge.follow_advice(findings))
-            return Outcome(tuple(findings), seconds, None, advised, scene.culprit)
-        answer = judge.identify(paths)
-        seconds = time.process_time() - start
+        elif is_answered:
+            answer = judge.identify(paths)
+            seconds = time.process_time() - start
     # The estimate names these itself, for it knows on which side of the gears sensors are.
-    for name in answer.motors:
+    for name in () if answer is None else answer.motors:
         findings.append(Finding("coupling", "says", f"a motor turns with {name}"))
-    return Outcome(tuple(findings), seconds, answer, (), scene.culprit)
+    found = tuple(findings)
+    return Outcome(found, seconds, answer, advised, scene.culprit, judge.innocents)
 
 
 @dataclass(frozen=True)
@@ -321,8 +385,9 @@ class Case:
             f"{RIGHT} {self.deviation} {self.duration:g} s" if is_right else self.cause
         )
 
-    def run(self, path: Path, is_answered: bool) -> Outcome:
-        """Return the outcome of the case's log, of an arm that differs from a model file."""
+    def run(self, models: Path, is_answered: bool) -> Outcome:
+        """Return the outcome of the case's log, of an arm that differs from its model file."""
+        path = models / ARMS[self.arm_name]
         cause = CAUSES[self.cause]
         duration = cause.duration or self.duration
         scene = draw_scene(path, self.arm_name, self.deviation, duration, self.seed)
@@ -399,15 +464,18 @@ def cases_of(cause: str, options: argparse.Namespace) -> Iterator[Case]:
                     yield Case(cause, arm_name, deviation, duration, seed)
 
 
-def print_cause(
-    cause: str, paths: dict[str, Path], options: argparse.Namespace
-) -> Tally:
-    """Print the rows of a cause and its failures; return the counts of all its logs."""
+def print_cause(cases: Sequence[Case], outcomes: Iterator[Outcome]) -> Tally:
+    """Print the rows of a cause and its failures; return the counts of all its logs.
+
+    Args:
+        cases: of the cause.
+        outcomes: yields those of these cases and of later ones.
+    """
     total = Tally.empty()
     rows: dict[str, Tally] = {}
     failures: list[str] = []
-    for case in cases_of(cause, options):
-        outcome = case.run(paths[case.arm_name], not options.no_answers)
+    for case in cases:
+        outcome = next(outcomes)
         for tally in (total, rows.setdefault(case.row, Tally.empty())):
             tally.add(case, outcome)
         if case.is_failure(outcome):
@@ -416,6 +484,11 @@ def print_cause(
         print(tally.line(row))
     print(*failures, sep="\n", end="\n" * bool(failures), flush=True)
     return total
+
+
+def causes_by_name(names: Sequence[str]) -> list[str]:
+    """Return the names of causes, those of a group in place of the group's."""
+    return [cause for name in names for cause in GROUPS.get(name, (name,))]
 
 
 def print_share(title: str, numerator: int, denominator: int) -> None:
@@ -436,7 +509,7 @@ def main() -> int:
         "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
     )
     parser.add_argument(
-        "--causes", nargs="+", default=list(CAUSES), choices=list(CAUSES)
+        "--causes", nargs="+", default=list(GROUPS), choices=[*GROUPS, *CAUSES]
     )
     parser.add_argument("--deviations", nargs="+", default=["real"], choices=DEVIATIONS)
     parser.add_argument("--seeds", type=int, default=3)
@@ -447,11 +520,22 @@ def main() -> int:
     parser.add_argument(
         "--no-answers", action="store_true", help="only look at the logs"
     )
+    parser.add_argument("--jobs", type=int, default=1, help="processes at once")
     options = parser.parse_args()
-    paths = {arm_name: options.models / ARMS[arm_name] for arm_name in options.arms}
     titles = "".join(f"{title:>9}" for title in ("logs", *NAMINGS, *COSTS))
     print(f"{'cause':<31}{titles}{'time':>9}  names", flush=True)
-    tallies = {cause: print_cause(cause, paths, options) for cause in options.causes}
+    causes = causes_by_name(options.causes)
+    cases = {cause: list(cases_of(cause, options)) for cause in causes}
+    every_case = [case for cause in causes for case in cases[cause]]
+    judge_case = partial(
+        Case.run, models=options.models, is_answered=not options.no_answers
+    )
+    with ExitStack() as stack:
+        apply: Callable[..., Iterator[Outcome]] = map
+        if options.jobs > 1:
+            apply = stack.enter_context(ProcessPoolExecutor(options.jobs)).map
+        outcomes = apply(judge_case, every_case)
+        tallies = {cause: print_cause(cases[cause], outcomes) for cause in causes}
     right_total = Tally.empty()
     wrong_total = Tally.empty()
     for cause, tally in tallies.items():
@@ -467,6 +551,8 @@ def main() -> int:
     print_share("right logs of no use", right_total.costs["no use"], right_count)
     print_share("harmful of wrong logs", wrong_total.costs["harmful"], wrong_count)
     print_share("harmful of right logs", right_total.costs["harmful"], right_count)
+    crash_count = wrong_total.costs[CRASHED] + right_total.costs[CRASHED]
+    print_share("crashed", crash_count, wrong_count + right_count)
     return 0
 
 

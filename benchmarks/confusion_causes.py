@@ -48,6 +48,7 @@ class Scene(Truth):
         last_masses: of the last link, all that are true at some time of the log [kg].
         path: the right model's file.
         edit: changes the right model's ``MjSpec`` into the one that the log is identified with.
+        urdf: text of a URDF that is used in its place; "" for none.
         other_path: a model file that is used in its place; None for none.
         culprit: name of the joint or body that is wrong; "" where none is alone.
         pieces: logs that are identified together; () for the log alone.
@@ -56,6 +57,7 @@ class Scene(Truth):
     last_masses: tuple[float, ...]
     path: Path
     edit: Edit | None = None
+    urdf: str = ""
     other_path: Path | None = None
     culprit: str = ""
     pieces: tuple[Recording, ...] = ()

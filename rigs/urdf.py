@@ -1,6 +1,16 @@
-"""Small URDF files for tests."""
+"""Small URDF files for tests, and arms of other files as URDF."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
+from robot_sysid.records import Array
 
 
 def link(name, content=""):
@@ -50,3 +60,68 @@ def write_arm(folder, links, *parts):
     path = folder / "arm.urdf"
     path.write_text(robot(serial(links), *parts))
     return path
+
+
+def urdf_of(
+    mj_model: Any, change: Callable[[str, Array], Array] = lambda name, inertia: inertia
+) -> str:
+    """Return the text of a URDF with the bodies and hinges of a compiled model, without shapes.
+
+    Args:
+        mj_model: every body has one hinge at its origin, or is fixed.
+        change: returns the inertia (3, 3) about the centre of mass, in the link's axes, that the
+            file states of a body, given its name and its true one.
+    """
+    parts = [link("root")]
+    for number in range(1, mj_model.nbody):
+        body = mj_model.body(number)
+        axes = _rotation(body.iquat).as_matrix()
+        inertia = axes @ np.diag(body.inertia) @ axes.T
+        content = ""
+        if body.mass[0]:
+            inertia = change(body.name, inertia)
+            content = urdf_inertial_about_com(body.mass[0], body.ipos, inertia)
+        parent = mj_model.body(body.parentid[0]).name if body.parentid[0] else "root"
+        origin = f'<origin xyz="{_numbers(body.pos)}" rpy="{_numbers(_angles(body))}"/>'
+        parts.append(link(body.name, content))
+        ends = f'{origin}<parent link="{parent}"/><child link="{body.name}"/>'
+        parts.append(_joint_of(mj_model, body, ends))
+    return robot(*parts)
+
+
+def _joint_of(mj_model: Any, body: Any, ends: str) -> str:
+    """Return the joint of a body, its origin and ends given."""
+    if not body.jntnum[0]:
+        return f'<joint name="fixed_{body.name}" type="fixed">{ends}</joint>'
+    hinge = mj_model.joint(body.jntadr[0])
+    lower, upper = hinge.range if hinge.limited[0] else (-np.pi, np.pi)
+    dof = hinge.dofadr[0]
+    return (
+        f'<joint name="{hinge.name}" type="revolute">{ends}<axis xyz="{_numbers(hinge.axis)}"/>'
+        f'<limit lower="{lower:.9g}" upper="{upper:.9g}" effort="100" velocity="2"/>'
+        f'<dynamics damping="{_first(mj_model.dof_damping[dof]):.9g}" '
+        f'friction="{mj_model.dof_frictionloss[dof]:.9g}"/></joint>'
+    )
+
+
+def _rotation(quat: Array) -> Rotation:
+    """Return the rotation of a quaternion (4,) in MuJoCo's order."""
+    return Rotation.from_quat(np.roll(quat, -1))
+
+
+def _angles(body: Any) -> Array:
+    """Return the roll, pitch and yaw of a body (3,) [rad]."""
+    with warnings.catch_warnings():
+        # Two of the angles turn about one axis where the third is 90 degrees; any pair will do.
+        warnings.simplefilter("ignore")
+        return np.asarray(_rotation(body.quat).as_euler("xyz"))
+
+
+def _first(values: Any) -> float:
+    """Return the first of several numbers, or the number: damping has three since MuJoCo 3.7."""
+    return float(np.ravel(values)[0])
+
+
+def _numbers(values: Array) -> str:
+    """Return numbers as text."""
+    return " ".join(f"{value:.12g}" for value in values)
