@@ -27,7 +27,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
     with_gravity,
 )
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.fit import Equations, Fit, equations_of, solve
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.terms import MOTORS
@@ -220,7 +220,7 @@ def refit(fitted: Fit, reading: Reading, **priors: float) -> Fit:
         robot = with_gravity(robot, reading.gravity)
     recordings = [reading.apply(recording) for recording in fitted.recordings]
     question = with_priors(fitted.question, **priors)
-    return solved(robot, recordings, question, beside=fault_columns)
+    return solve_question(robot, recordings, question, beside=fault_columns)
 
 
 def column_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:

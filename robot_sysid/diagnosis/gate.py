@@ -26,7 +26,7 @@ from robot_sysid.diagnosis.samples import (
 )
 from robot_sysid.diagnosis.stretches import SLOWEST, stretch_findings
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimate.choose import answer_of, solved
+from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import Priors
 from robot_sysid.estimate.questions import Question
@@ -117,7 +117,7 @@ def judge(
         found += enough_findings(pieces, recordings)
     if refusals(found):
         return Judged(tuple(logs), in_order(found), notes, None)
-    fitted = solved(robot, recordings, question, progress, fault_columns)
+    fitted = solve_question(robot, recordings, question, progress, fault_columns)
     most = float(np.max(fitted.sums.row_counts))
     found += few_findings(most, duration(pieces), recordings[0].cutoff)
     if refusals(found):
@@ -127,7 +127,7 @@ def judge(
     )
     judged = fitted
     if usual != options:
-        judged = solved(
+        judged = solve_question(
             robot, recordings, replace(question, options=usual), beside=fault_columns
         )
     rounds = count(1)

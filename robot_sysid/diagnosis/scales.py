@@ -31,7 +31,7 @@ from robot_sysid.diagnosis.plausibility import (
     is_foreign,
     model_torque,
 )
-from robot_sysid.estimate.choose import common_factor, solved
+from robot_sysid.estimate.choose import common_factor, solve_question
 from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import arm_question
@@ -107,7 +107,9 @@ def common_scale(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
         estimate, relative = found
         factor *= estimate
         scaled = with_mass_scale(robot, factor)
-        after = solved(scaled, fitted.recordings, fitted.question, beside=fault_columns)
+        after = solve_question(
+            scaled, fitted.recordings, fitted.question, beside=fault_columns
+        )
         if abs(np.log(estimate)) < np.log(ODD):
             break
     finding = common_finding(robot, factor, relative, evidence)

@@ -19,6 +19,7 @@ from robot_sysid.diagnosis.gate import slow_findings
 from robot_sysid.estimate.trust import implausible_joints
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.results.record import Quantity
 
 FRICTION = 'frictionloss=".3" damping=".2" armature=".05"'
@@ -85,9 +86,9 @@ def test_explanations_of_a_slide_are_in_its_units(robot):
     fitted = fit_recordings(robot, filter_logs(robot, log), beside=fault_columns)
     for explanation in explanations(fitted):
         has_unit_of_hinge = OF_HINGES.search(explanation.unit)
-        assert not (has_unit_of_hinge and "joint lift" in explanation.text)
-        is_of_hinge = re.search("joint (bend|roll)", explanation.text)
-        if is_of_hinge and explanation.check == "zero":
+        joint = explanation.words.get("joint")
+        assert not (has_unit_of_hinge and joint == "lift")
+        if joint in ("bend", "roll") and explanation.fault.name is FaultName.ZERO:
             assert has_unit_of_hinge
 
 

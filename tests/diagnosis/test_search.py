@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.faults import explanations
 from robot_sysid.diagnosis.plausibility import is_plausible
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
@@ -28,7 +28,7 @@ def right(four_joints):
     """Return the fit of a right log, with the columns of all causes."""
     logs = [replace(four_joints.log, name="log")]
     recordings, _ = low_pass_recordings(four_joints.robot, logs)
-    return solved(four_joints.robot, recordings, QUESTION, beside=fault_columns)
+    return solve_question(four_joints.robot, recordings, QUESTION, beside=fault_columns)
 
 
 def test_a_right_log_is_used_whole_and_has_no_explanation(four_joints):
