@@ -36,6 +36,7 @@ from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.records.messages import Level, with_error
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name, with_option_names
 
 ROWS = 250
@@ -97,6 +98,16 @@ def with_priors(question: Question, **priors: Any) -> Question:
     return replace(question, options=changed)
 
 
+def part_of_rows(fitted: Fit, count: int) -> tuple[tuple[FilteredRecording, ...], int]:
+    """Return recordings of a fit with about ``count`` rows in all, each one of so many."""
+    every = max(1, sum(map(len, fitted.recordings)) // count)
+    recordings = (
+        recording.using(recording.used[::every], every=every, _kept={})
+        for recording in fitted.recordings
+    )
+    return tuple(recordings), every
+
+
 class ColumnSearch:
     """Compares readings of a log on a part of its rows.
 
@@ -112,11 +123,7 @@ class ColumnSearch:
                 needed.append(term)
         self.arm = fitted.arm.of(needed)
         self.terms = arm_question(self.arm, question, fitted.sums.rms_torque)
-        every = max(1, sum(map(len, fitted.recordings)) // ROWS)
-        self.recordings = [
-            recording.using(recording.used[::every], every=every, _kept={})
-            for recording in fitted.recordings
-        ]
+        self.recordings, _ = part_of_rows(fitted, ROWS)
 
     def score(self, found: Sequence[Mistake]) -> float:
         """Return the log likelihood of the log without mistakes, but for a constant."""

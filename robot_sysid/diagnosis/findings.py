@@ -28,7 +28,7 @@ from robot_sysid.diagnosis.plausibility import (
     is_plausible,
     is_sibling,
 )
-from robot_sysid.diagnosis.scales import common_scale, odd_unit, own_scales
+from robot_sysid.diagnosis.scales import odd_unit, scale_corrections
 from robot_sysid.diagnosis.scores import Score
 from robot_sysid.diagnosis.search import Search, name_faults, search_faults
 from robot_sysid.estimate.contacts import LITTLE
@@ -114,7 +114,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if is_experiment:
         return [each for each in named if each.about not in OF_LINKS], right
     if all(finding.level is Level.SAYS for finding in named):
-        named += model_findings(right, search.current, evidence)
+        named += model_findings(right, search, evidence)
     return named, right
 
 
@@ -138,7 +138,7 @@ def with_correction(search: Search, evidence: Evidence) -> Search:
 def corrections(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     """Yield corrections of a log that leave clearly less, in an arm that may exist."""
     before = fitted.unexplained_share
-    makers = common_scale, own_scales, column_correction
+    makers = scale_corrections, column_correction
     for tried in chain.from_iterable(make(fitted, evidence) for make in makers):
         after = tried.fit.unexplained_share
         is_less = after < CLEARLY_LESS * before or after < LITTLE < before

@@ -24,8 +24,9 @@ from robot_sysid.diagnosis.plausibility import (
     typical_ratio,
     typical_torque,
 )
-from robot_sysid.diagnosis.scales import clear_factor, common_scale
+from robot_sysid.diagnosis.scales import common_correction, torque_scales
 from robot_sysid.diagnosis.scores import EXACT
+from robot_sysid.diagnosis.search import Search
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Offers
@@ -70,20 +71,24 @@ def weighed_time(fitted: Fit) -> float:
     return TIME * float(Offers(fitted).weigh(clock.effect).values[0])
 
 
-def model_findings(fitted: Fit, current: Fit, evidence: Evidence) -> Iterator[Finding]:
+def model_findings(
+    fitted: Fit, search: Search, evidence: Evidence
+) -> Iterator[Finding]:
     """Yield what is wrong as a whole, where no fault is named that forbids an estimate.
 
     Args:
         fitted: the fit of the log.
-        current: that with all that is named.
+        search: what was found in it.
         evidence: what is known beside its rows.
     """
     robot = fitted.arm.robot
-    # A fault that was found may explain it.
-    is_off = clear_factor(current) is not None
-    scaled = [*common_scale(fitted, evidence)] if is_off else []
-    if scaled and scaled[0].fit.unexplained_share < UNEXPLAINED:
-        yield from scaled[0].findings
+    current = search.current
+    torques = torque_scales(fitted)
+    # A fault that was found may explain them.
+    is_odd = torques.is_odd and torque_scales(current, search.effects).is_odd
+    scaled = common_correction(fitted, torques, evidence) if is_odd else None
+    if scaled is not None and scaled.fit.unexplained_share < UNEXPLAINED:
+        yield from scaled.findings
     elif not is_plausible(current):
         yield Finding(
             # What an empty log has wrong as well does not matter to a payload.

@@ -1,14 +1,19 @@
-"""Torque scales: whether the torques are a factor times those of the model, or one for each joint.
+"""The scale question: how many times the model's are the torques, of each joint and in common?
 
 Torques alone do not tell a factor on all of them from one on all masses. A unit is the name of a
 factor. Throughout, J is the number of joints with equations, n that of the chain's. A torque scale
 is the ratio of recorded to true torque.
+
+The scales are the terms of torque scales in the one fit, with a wide prior: a part that all joints
+have in common, and one of each joint. Torques are divided by what is found, and fitted again, until
+nothing changes (Gauss-Newton on the logarithm of the scales).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import compress
 
 import numpy as np
@@ -19,11 +24,10 @@ from robot_sysid.diagnosis.column_search import (
     Correction,
     Evidence,
     gain_between,
+    part_of_rows,
     refit,
-    with_priors,
 )
 from robot_sysid.diagnosis.columns import Reading
-from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.plausibility import (
     LARGER,
     SMALLER,
@@ -31,12 +35,13 @@ from robot_sysid.diagnosis.plausibility import (
     is_foreign,
     model_torque,
 )
-from robot_sysid.estimate.choose import common_factor, solve_question
-from robot_sysid.estimate.fit import Fit, Problem
-from robot_sysid.estimate.links import AS_STATED
+from robot_sysid.diagnosis.scores import with_effects
+from robot_sysid.estimate.fit import Fit, LeftOut, Problem
+from robot_sysid.estimate.links import EXPECTED
+from robot_sysid.estimate.offers import Effect
 from robot_sysid.estimate.questions import arm_question
-from robot_sysid.estimate.terms import SCALES, ArmTerms
-from robot_sysid.model.units import mass_unit, with_mass_scale
+from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
+from robot_sysid.model.units import mass_unit
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import INTERVAL
@@ -58,12 +63,16 @@ NEAR_UNIT = 1.25
 """Factor between a scale and that of its unit which masses that are a little off make."""
 MOST_MASSES = 5.0
 """Factor on all masses, or its inverse, above which no arm is."""
-COMMON_ROUNDS = 4
-"""Rounds in which a factor on all masses is found: each changes the links that it is found by."""
-OWN_ROUNDS = 4
-"""Rounds in which scales of single joints are found."""
-SCALE_PRIOR = 70.0
-"""Prior of a joint's scale in a round [%]: by so much it may change in one."""
+ROWS = 1000
+"""Rows by which scales are found: links that are off by 10 to 20 % make most of their error."""
+ROUNDS = 8
+"""Most rounds: of currents in per cent, whose scales differ by a factor of ten, it takes seven."""
+FOUND = 0.02
+"""Relative change of a scale below which it has been found."""
+OWN_PRIOR = 0.7
+"""Prior of a joint's scale in a round, over the common one: by so much it may change in one."""
+COMMON_PRIOR = 3.0
+"""Prior of the common scale in a round: it may be any."""
 STEP = (0.2, 5.0)
 """Least and largest factor by which a scale changes in one round."""
 SURE_SCALE = 0.4
@@ -92,53 +101,158 @@ WEIGHING = (
 """What to do where torques are motor currents; the command that compares follows the message."""
 
 
-def common_scale(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
-    """Yield the correction of all masses by one factor, if they are clearly ``ODD`` times off.
+@dataclass(frozen=True)
+class TorqueScales:
+    """How many times the model's the torques are.
 
-    Torques do not tell it from torques that are all scaled.
+    Attributes:
+        values: (J,) scale of each joint; negative where the torque has the opposite sign.
+        covariance: (J, J) of their logarithms, by noise, links as wrong as usual, and blocks.
+        is_loaded: (J,) which joints links load.
+        coarse: by which positions that are coarse or seldom make all columns wrong, as a share.
     """
-    robot = fitted.arm.robot
-    factor = 1.0
-    after = fitted
-    for _ in range(COMMON_ROUNDS):
-        found = clear_factor(after, factor)
-        if found is None:
-            return
-        estimate, relative = found
-        factor *= estimate
-        scaled = with_mass_scale(robot, factor)
-        after = solve_question(
-            scaled, fitted.recordings, fitted.question, beside=fault_columns
-        )
-        if abs(np.log(estimate)) < np.log(ODD):
+
+    values: Array
+    covariance: Array
+    is_loaded: NDArray[np.bool_]
+    coarse: float
+
+    @property
+    def errors(self) -> Array:
+        """Relative standard errors (J,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def are_sure(self) -> NDArray[np.bool_]:
+        """Which scales (J,) are identified."""
+        sure = self.errors < SURE_SCALE
+        # The torque of the last joint is that of the last link alone, which is not known.
+        sure[-1] &= self.is_loaded[-1]
+        return np.asarray(sure)
+
+    @property
+    def are_of_links(self) -> bool:
+        """Whether the torque of each joint that links load follows its links."""
+        return bool(np.any(self.is_loaded) and np.all(self.are_sure[self.is_loaded]))
+
+    @property
+    def differ(self) -> bool:
+        """Whether joints have scales of their own."""
+        known = np.log(np.abs(self.values[self.are_sure]))
+        return bool(np.ptp(known) >= np.log(COMMON))
+
+    @cached_property
+    def common(self) -> tuple[float, float]:
+        """(Scale of all joints, its relative error): (1, infinite) where none is identified."""
+        sure = self.are_sure
+        if not np.any(sure):
+            return 1.0, np.inf
+        weights = self.errors[sure] ** -2.0
+        weights = weights / np.sum(weights)
+        mean = float(weights @ np.log(np.abs(self.values[sure])))
+        variance = float(weights @ self.covariance[np.ix_(sure, sure)] @ weights)
+        return float(np.exp(mean)), float(np.hypot(np.sqrt(variance), self.coarse))
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether the common scale is clearly ``ODD``."""
+        factor, error = self.common
+        return abs(np.log(factor)) >= max(np.log(ODD), INTERVAL * error)
+
+    @property
+    def known_values(self) -> Array:
+        """Scales (J,): of joints whose own is not identified, the common one."""
+        own = np.where(self.are_sure, np.abs(self.values), self.common[0])
+        return np.asarray(np.sign(self.values) * own)
+
+
+def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
+    """Return how many times the model's the torques of a log are.
+
+    Links are off as those of arms usually are: with models that are right to 5 %, right arms would
+    be clearly off. Signs are found beside the scales in torques of another unit, in which a turned
+    one alone explains nothing.
+
+    Args:
+        fitted: the fit of the log.
+        effects: of faults that have joined it.
+    """
+    # Columns of faults take time, and only faults that have joined the fit need them.
+    named = [term for term in fitted.arm.terms.values() if term.cause]
+    arm = fitted.arm if effects else fitted.arm.of(named)
+    recordings, every = part_of_rows(fitted, ROWS)
+    correlation = np.maximum(fitted.correlation / every, 1.0)
+    question = replace(fitted.question, link_scales=EXPECTED)
+    start = arm.start()
+    sums = arm.sums(recordings, start)
+    count = len(arm.joints)
+    spread = OWN_PRIOR**2 * np.eye(count) + COMMON_PRIOR**2 * np.ones((count, count))
+    prior = Prior(np.zeros(count), np.asarray(np.linalg.cholesky(spread)))
+    torque, share, is_loaded = model_torque(fitted)
+    # Whatever the scales are, the ratio of torques is near them.
+    scale = fitted.sums.rms_torque / torque
+    scale[~is_loaded] = np.median(scale[is_loaded])
+    opposes = is_loaded & (share * torque < -OPPOSING * fitted.sums.rms_torque)
+    scale[opposes & is_foreign(fitted)] *= -1.0
+    for _ in range(ROUNDS):
+        scaled = sums.with_torque_times(1.0 / scale)
+        terms = [
+            replace(term, prior=prior) if term.cause == SCALES else term
+            for term in arm_question(arm, question, scaled.rms_torque)
+        ]
+        scaled, terms = with_effects(scaled, terms, effects)
+        problem = Problem(arm, recordings, start, scaled, question)
+        after = problem.fit(terms, correlation=correlation, possible=False)
+        at = after.at(arm.terms[SCALES].names)
+        change = np.clip(1.0 + after.free[at], *STEP)
+        scale = scale * change
+        if np.max(np.abs(np.log(change))) < FOUND:
             break
-    finding = common_finding(robot, factor, relative, evidence)
-    yield Correction((finding,), gain_between(fitted, after), after)
+    after = replace(after, left_out=LeftOut.EACH)
+    relative = after.covariance[np.ix_(at, at)] / np.outer(change, change)
+    coarse = max(each.acceleration_error for each in fitted.recordings)
+    return TorqueScales(scale, relative, is_loaded, coarse)
+
+
+def scale_corrections(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+    """Yield the corrections of torques by one scale of all joints, and by one of each joint."""
+    scales = torque_scales(fitted)
+    if scales.is_odd:
+        yield common_correction(fitted, scales, evidence)
+    yield from own_corrections(fitted, scales, evidence)
+
+
+def common_correction(
+    fitted: Fit, scales: TorqueScales, evidence: Evidence
+) -> Correction:
+    """Return the correction of torques by one scale, which masses that are off make as well."""
+    factor, error = scales.common
+    factors = np.full(len(scales.values), 1.0 / factor)
+    after = refit(fitted, torque_reading(fitted.arm, factors))
+    finding = common_finding(fitted.arm.robot, factor, error, evidence)
+    return Correction((finding,), gain_between(fitted, after, factors), after)
+
+
+def own_corrections(
+    fitted: Fit, scales: TorqueScales, evidence: Evidence
+) -> Iterator[Correction]:
+    """Yield the correction of torques by scales of one per joint, where joints have such."""
+    if not (scales.are_of_links and scales.differ):
+        return
+    values = scales.known_values
+    after = refit(fitted, torque_reading(fitted.arm, 1.0 / values))
+    # Loss for scales that fit the data instead of being one: the prior's volume over that left.
+    penalty = np.sum(np.log(SPREAD / scales.errors[scales.are_sure]))
+    sure = np.flatnonzero(scales.are_sure)
+    finding = own_finding(fitted, values, sure, evidence)
+    gain = gain_between(fitted, after, 1.0 / np.abs(values)) - penalty
+    yield Correction((finding,), float(gain), after)
 
 
 def torque_scale(scales: Array) -> tuple[str, str]:
     """Return the option that divides torques by scales (n,), one number where they are alike."""
     texts = [f"{value:.4g}" for value in scales]
     return "--torque-scale", ",".join(texts if len({*texts}) > 1 else texts[:1])
-
-
-def clear_factor(fitted: Fit, before: float = 1.0) -> tuple[float, float] | None:
-    """Return (factor on all masses, its relative error); None if it is not clearly ``ODD``.
-
-    ``before`` is that by which the model's masses were multiplied already.
-    """
-    estimate, error = common_factor(fitted)
-    # Coarse or seldom positions make all columns wrong by the share of their accelerations.
-    coarse = max(each.acceleration_error for each in fitted.recordings)
-    relative = float(np.hypot(error / estimate, coarse))
-    size = abs(np.log(before * estimate))
-    if size < max(np.log(ODD), INTERVAL * relative):
-        return None
-    # What single blocks show may be something else.
-    blocks = fitted.sums.blocks
-    alone = [np.log(common_factor(fitted, [block])[0]) for block in blocks]
-    relative = max(relative, float(np.sqrt((len(blocks) - 1.0) * np.var(alone))))
-    return None if size < INTERVAL * relative else (estimate, relative)
 
 
 def common_finding(
@@ -181,51 +295,6 @@ def common_finding(
     )
 
 
-def own_scales(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
-    """Yield the correction of torque scales of one per joint.
-
-    Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
-    scales, and the fit of what results allows them wide errors. Signs are found with them in
-    torques of another unit, in which a turned one alone explains nothing. None where some loaded
-    joint's torque does not follow its links, or all have one scale (``common_scale``).
-    """
-    arm = fitted.arm
-    torque, share, is_loaded = model_torque(fitted)
-    scale = fitted.sums.rms_torque / torque
-    scale[~is_loaded] = np.median(scale[is_loaded])
-    opposes = is_loaded & (share * torque < -OPPOSING * fitted.sums.rms_torque)
-    signs = np.where(opposes & is_foreign(fitted), -1.0, 1.0)
-    # Links that explain the scales as they are would leave none to find.
-    question = with_priors(
-        replace(fitted.question, link_scales=AS_STATED), scale=SCALE_PRIOR
-    )
-    sums = arm.sums(fitted.recordings, arm.start())
-    for _ in range(OWN_ROUNDS):
-        scaled = sums.with_torque_times(signs / scale)
-        problem = Problem(arm, fitted.recordings, arm.start(), scaled, question)
-        terms = arm_question(arm, question, scaled.rms_torque)
-        after = problem.fit(terms, possible=False)
-        at = after.at(arm.terms[SCALES].names)
-        change = np.clip(1.0 + after.free[at], *STEP)
-        scale = scale * change
-    relative = np.sqrt(np.diag(after.inverse)[at]) / change
-    is_sure = relative < SURE_SCALE
-    # The torque of the last joint is that of the last link alone, which is not known.
-    is_sure[-1] &= is_loaded[-1]
-    if not np.all(is_sure[is_loaded]):
-        return
-    own = np.log(scale[is_sure])
-    scale[~is_sure] = np.exp(np.average(own, weights=relative[is_sure] ** -2.0))
-    if np.ptp(own) < np.log(COMMON):
-        return
-    after = refit(fitted, torque_reading(arm, signs / scale))
-    # Loss for scales that fit the data instead of being one: the prior's volume over that left.
-    penalty = np.sum(np.log(SPREAD / relative[is_sure]))
-    finding = scale_finding(fitted, signs * scale, np.flatnonzero(is_sure), evidence)
-    gain = gain_between(fitted, after, 1.0 / scale) - penalty
-    yield Correction((finding,), float(gain), after)
-
-
 def torque_reading(arm: ArmTerms, factors: Array) -> Reading:
     """Return the reading in which torques (J,) are multiplied by factors."""
     torque = np.ones(arm.robot.n_joints)
@@ -233,7 +302,7 @@ def torque_reading(arm: ArmTerms, factors: Array) -> Reading:
     return Reading.with_torque_times(torque)
 
 
-def scale_finding(
+def own_finding(
     fitted: Fit, scale: Array, sure: NDArray[np.int64], evidence: Evidence
 ) -> Finding:
     """Return the finding on torque scales (J,), of which those with indices ``sure`` are found.

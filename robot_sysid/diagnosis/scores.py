@@ -12,6 +12,7 @@ A fault is named where
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +21,7 @@ import numpy as np
 from robot_sysid.diagnosis.faults import Explanation, explanations
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer, Offers
-from robot_sysid.estimate.rows import Rows
+from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import (
     LAST_LINK,
     PAYLOAD_NAMES,
@@ -186,7 +187,7 @@ def asked_names(fitted: Fit) -> tuple[str, ...]:
 
 
 def candidates(
-    fitted: Fit, effects: list[Effect], errors: Array, is_time_right: bool
+    fitted: Fit, effects: Sequence[Effect], errors: Array, is_time_right: bool
 ) -> list[Score]:
     """Return the likeliest explanations that are possible, the largest gain first.
 
@@ -237,7 +238,7 @@ def weigh(
     explanation: Explanation,
     offer: Offer,
     white: Offers,
-    effects: list[Effect],
+    effects: Sequence[Effect],
     errors: Array,
 ) -> Score:
     """Return the score of an explanation with the noise that it leaves.
@@ -257,7 +258,7 @@ def weigh(
 
 
 def from_its_instant(
-    explanation: Explanation, offer: Offer, fitted: Fit, effects: list[Effect]
+    explanation: Explanation, offer: Offer, fitted: Fit, effects: Sequence[Effect]
 ) -> tuple[Explanation, Fit]:
     """Return a change of load at the instant that fits best, and a fit with its columns."""
     instant, log = instant_of(fitted, offer)
@@ -299,18 +300,26 @@ def instant_of(fitted: Fit, offer: Offer) -> tuple[float, str]:
     return float(time[np.argmax(gains)]), log
 
 
-def fit_with(fitted: Fit, effects: list[Effect]) -> Fit:
+def fit_with(fitted: Fit, effects: Sequence[Effect]) -> Fit:
     """Return the fit of its terms that have columns in its sums, and of effects that join them."""
-    sums = fitted.sums
-    terms = [t for t in fitted.equations.terms if t.names[0] in sums.names]
+    terms = [t for t in fitted.equations.terms if t.names[0] in fitted.sums.names]
+    sums, terms = with_effects(fitted.sums, terms, effects)
+    return replace(fitted, sums=sums).refit(terms)
+
+
+def with_effects(
+    sums: Sums, terms: Sequence[Term], effects: Sequence[Effect]
+) -> tuple[Sums, list[Term]]:
+    """Return sums with the columns of effects, and terms with a term for each."""
+    joined = [*terms]
     for effect in effects:
         size = effect.factor.shape[1]
         names = tuple(f"cause {len(sums.names)} {k}" for k in range(size))
         at = sums.at(effect.names)
         sums = sums.with_columns(names, at, effect.factor, effect.joint, effect.shares)
         prior = independent(np.ones(size))
-        terms.append(Term("", tuple(map(Parameter, names)), in_sums_alone, prior))
-    return replace(fitted, sums=sums).refit(terms)
+        joined.append(Term("", tuple(map(Parameter, names)), in_sums_alone, prior))
+    return sums, joined
 
 
 def in_sums_alone(rows: Rows, point: Point) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import Correction, Evidence
 from robot_sysid.diagnosis.plausibility import is_plausible
-from robot_sysid.diagnosis.scales import own_scales
+from robot_sysid.diagnosis.scales import own_corrections, torque_scales
 from robot_sysid.diagnosis.scores import Score, asked_names, candidates, fit_with
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect
@@ -135,7 +135,8 @@ def scales_beyond(
     likeliest = offered[0]
     if likeliest.gain < CLEAR or likeliest.name not in OF_SCALES:
         return None
-    for each in own_scales(found.current, evidence):
+    scales = torque_scales(found.current)
+    for each in own_corrections(found.current, scales, evidence):
         if each.gain > likeliest.gain + TIE and is_plausible(each.fit):
             return each
     return None

@@ -19,13 +19,12 @@ from robot_sysid.dynamics.friction import (
     top_speeds,
 )
 from robot_sysid.estimate.contacts import without_contacts, without_turns
-from robot_sysid.estimate.fit import ROUNDS, Fit, Problem, correlation_times, solve
+from robot_sysid.estimate.fit import Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
     AS_STATED,
     LinkEvidence,
     average_scales,
     link_directions,
-    link_factor,
     reference_links,
     stated_kinds,
 )
@@ -330,36 +329,6 @@ def links_information(
             gradient = posterior @ values[span] - rows.T @ term.prior.rows[:, -1]
             return 0.5 * (curvature + curvature.T), gradient
     return None
-
-
-def common_factor(fitted: Fit, left_out: Sequence[int] = ()) -> tuple[float, float]:
-    """Return the factor on all masses of the model with which it fits the torques, and its error.
-
-    With the links k theta + k D z before the last, z ~ N(0, 1) what links are usually off by, and
-    their curvature L and gradient b by the data, k is the generalised least-squares estimate
-
-        k = theta' g / theta' M theta,   M = L - L (L + C^-1)^-1 L,   g = b - L (L + C^-1)^-1 b,
-
-    with C = k^2 D D', so that it is found by iteration. It is (1, infinite) where the links are not
-    estimated, or no positive factor fits. Some blocks may be left out.
-    """
-    information = links_information(fitted, left_out)
-    if information is None:
-        return 1.0, np.inf
-    curvature, gradient = information
-    robot = fitted.arm.robot
-    theta = reference_links(robot, fitted.arm.others)
-    share = PER_CENT * fitted.question.options.priors.link
-    usual = np.linalg.inv(link_factor(robot, fitted.arm.others, share))
-    factor = 1.0
-    for _ in range(ROUNDS):
-        shrunk = curvature @ np.linalg.inv(curvature + usual.T @ usual / factor**2)
-        precision = float(theta @ (curvature - shrunk @ curvature) @ theta)
-        weighted = float(theta @ (gradient - shrunk @ gradient))
-        if precision <= 0.0 or weighted <= 0.0:
-            return 1.0, np.inf
-        factor = weighted / precision
-    return factor, precision**-0.5
 
 
 def coupling(
