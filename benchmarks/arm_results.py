@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from rigs.core_fits import ORIGIN
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
@@ -25,5 +25,5 @@ def result_of_logs(
     for number, log in enumerate(logs):
         pieces += [replace(piece, name=f"log{number}") for piece in split_at_gaps(log)]
     recordings, _ = low_pass_recordings(robot, pieces, options.cutoff)
-    fitted = solved(robot, recordings, Question(options))
+    fitted = solve_question(robot, recordings, Question(options))
     return link_result(fitted, fit_file(fitted), (), ORIGIN)

@@ -33,7 +33,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     other_links,
     turn_gravity,
 )
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
@@ -141,7 +141,7 @@ def identification_errors(predicted, motion, rng, exact):
     tau = tau + SIGMA * rng.normal(size=tau.shape)
     recording = Recording(motion.time, q, None, tau, None)
     recordings, _ = low_pass_recordings(robot, [replace(recording, name="log")])
-    fitted = solved(robot, recordings, Question(OPTIONS))
+    fitted = solve_question(robot, recordings, Question(OPTIONS))
     theta = robot.prior.theta
     return fitted.values[:10] - theta, fitted.free[:10] - theta, fitted.errors[:10]
 

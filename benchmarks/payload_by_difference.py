@@ -24,7 +24,7 @@ from benchmarks.imperfect_arm import Imperfections, draw_imperfect_arm
 from rigs.core_fits import ORIGIN
 from rigs.wrong_arms import ARMS
 from robot_sysid import spatial
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
@@ -87,13 +87,13 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
         pieces.append(replace(recording, order=position))
     recordings, _ = low_pass_recordings(robot, pieces)
     question = Question(estimation, loaded=True, drifts=drifts, **question_options)
-    weighed = solved(robot, recordings, replace(question, known_mass=None))
+    weighed = solve_question(robot, recordings, replace(question, known_mass=None))
     fitted, file = weighed, None
     if question.known_mass is None:
         carried, _ = written_payload(weighed)
         file = fit_file(weighed, carried)
     else:
-        fitted = solved(robot, recordings, question)
+        fitted = solve_question(robot, recordings, question)
     divided = np.ones(robot.n_joints)
     flange = find_flange(robot, "0,0,0")
     return payload_result(fitted, weighed, file, flange, ORIGIN, (), divided)

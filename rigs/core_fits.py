@@ -6,7 +6,7 @@ import numpy as np
 
 from rigs.measured_logs import CUTOFF
 from robot_sysid import spatial
-from robot_sysid.estimate.choose import answer_of, solved
+from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.records import DataOrigin
@@ -24,7 +24,7 @@ ORIGIN = DataOrigin("log a log", 10.0, 200.0)
 def fit_recordings(robot, recordings, options=None, beside=None, **question):
     """Return the fit of recordings as commands have it; ``question`` are more fields of that."""
     question = Question(options or EstimationOptions(), **question)
-    return answer_of(solved(robot, recordings, question, beside=beside))
+    return answer_of(solve_question(robot, recordings, question, beside=beside))
 
 
 def filter_logs(robot, *logs, cutoff=CUTOFF):

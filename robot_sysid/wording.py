@@ -6,12 +6,13 @@ is going to read it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
 _IS_FOR_PYTHON = ContextVar("is_for_python", default=False)
+_NO_WORDS: Mapping[str, str] = {}
 
 
 @contextmanager
@@ -64,10 +65,11 @@ class _Names(dict[str, Any]):
         return option_name(*key.split(" ", 1))
 
 
-def with_option_names(template: str) -> str:
-    """Return a template with names of options in the place of its fields in braces.
+def with_option_names(template: str, words: Mapping[str, str] = _NO_WORDS) -> str:
+    """Return a template with words and names of options in the place of its fields in braces.
 
-    It is for texts that are no functions' own: "{joint}", "{columns FILE}" and "{keep=gravity}" are
-    what ``option_name`` and ``option_setting`` make of them.
+    It is for texts that are no functions' own: a field that is none of ``words``, such as
+    "{joint}", "{columns FILE}" or "{keep=gravity}", is what ``option_name`` and ``option_setting``
+    make of it.
     """
-    return template.format_map(_Names())
+    return template.format_map(_Names(words))

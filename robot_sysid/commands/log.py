@@ -9,9 +9,10 @@ from typing import Any
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import LOG, Command
 from robot_sysid.errors import InputError
-from robot_sysid.logs import CHECKS, LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.option_fields import (
     Option,
     given_values,
@@ -73,7 +74,7 @@ COMMANDS = (
         "log",
         "log log.csv arm.xml",
         "Say what is in a log of the real arm: its form, its columns and their units, and look for "
-        f"what is wrong with it, as every identification does: {', '.join(CHECKS)}.",
+        f"what is wrong with it, as every identification does: {', '.join(FaultName)}.",
         {
             "": _ARGUMENTS,
             "model": options_of_all(ModelOptions, only=OF_LOG),

@@ -14,23 +14,24 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.causes import beside
-from robot_sysid.diagnosis.contest import findings
-from robot_sysid.diagnosis.limited_in_time import SLOWEST, stretch_findings
-from robot_sysid.diagnosis.log_checks import (
+from robot_sysid.diagnosis.column_search import Evidence
+from robot_sysid.diagnosis.fault_columns import fault_columns
+from robot_sysid.diagnosis.findings import findings
+from robot_sysid.diagnosis.refusal import refuse_for
+from robot_sysid.diagnosis.samples import (
     check_recording,
     time_share,
     velocity_notes,
     velocity_ratios,
 )
-from robot_sysid.diagnosis.log_refusal import refuse_for
-from robot_sysid.diagnosis.relabelling import Evidence
+from robot_sysid.diagnosis.stretches import SLOWEST, stretch_findings
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimate.choose import answer_of, solved
+from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.records import Recording, RobotModel
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress, position_unit
 from robot_sysid.records.option_fields import SCALE as TORQUE_SCALE
 from robot_sysid.records.option_fields import joint_factors
@@ -44,7 +45,13 @@ from robot_sysid.signals.resampling import duration, sampling_period, split_at_g
 from robot_sysid.wording import option_setting
 
 TRYING = "Trying explanations"
-"""Label of the progress of the contest of explanations."""
+"""Label of the progress of the search for faults."""
+DOUBTFUL = (FaultName.MODEL, FaultName.UNEXPLAINED, FaultName.HELD, FaultName.SATURATED)
+"""Faults beside which torque that is left over for a moment says nothing."""
+LEAST_RATE = 10.0
+"""Sampling rate below which a motion cannot be differentiated [Hz]."""
+LEAST_ROWS = 40
+"""Independent samples of a joint that are needed for ten parameters and the joint's friction."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +117,7 @@ def judge(
         found += enough_findings(pieces, recordings)
     if refusals(found):
         return Judged(tuple(logs), in_order(found), notes, None)
-    fitted = solved(robot, recordings, question, progress, beside)
+    fitted = solve_question(robot, recordings, question, progress, fault_columns)
     most = float(np.max(fitted.sums.row_counts))
     found += few_findings(most, duration(pieces), recordings[0].cutoff)
     if refusals(found):
@@ -120,8 +127,8 @@ def judge(
     )
     judged = fitted
     if usual != options:
-        judged = solved(
-            robot, recordings, replace(question, options=usual), beside=beside
+        judged = solve_question(
+            robot, recordings, replace(question, options=usual), beside=fault_columns
         )
     rounds = count(1)
 
@@ -139,13 +146,12 @@ def judge(
     wrong, right = findings(judged, evidence)
     progress.advance(TRYING, 1.0, 1.0, "")
     wrong = wrong or [*slow_findings(robot, recordings)]
-    doubtful = ("model", "unexplained", "held", "saturated")
-    if not any(finding.about in doubtful for finding in [*found, *wrong]):
+    if not any(finding.about in DOUBTFUL for finding in [*found, *wrong]):
         # Contacts that come back are a doubt, unless something else is wrong.
         touched = [each for log in right.recordings for each in log.touched]
         touches = stretch_findings(right.arm.joints, touched)
         found += [each for each in touches if each.level is Level.SAYS or not wrong]
-    if not any(finding.about == "clock" for finding in wrong):
+    if not any(finding.about is FaultName.CLOCK for finding in wrong):
         found += velocities
     # What was asked of the log alone is not kept with its answer.
     terms = [term for term in fitted.arm.terms.values() if term.cause]
@@ -185,7 +191,9 @@ def slow_findings(
     if fastest[joint] < SLOWEST:
         unit = position_unit(robot.is_slide[joint])
         text = f"no joint moves faster than {fastest[joint]:.2g} {unit}/s"
-        yield Finding(Level.REFUSES, "too-little", text, "record a faster motion")
+        yield Finding(
+            Level.REFUSES, FaultName.TOO_LITTLE, text, "record a faster motion"
+        )
 
 
 def enough_findings(
@@ -198,10 +206,11 @@ def enough_findings(
     cutoff = recordings[0].cutoff
     span = duration(pieces)
     rate = 1.0 / sampling_period(pieces[0].time)
-    # A slower motion cannot be differentiated.
-    if rate < 10.0:
+    if rate < LEAST_RATE:
         text = f"{rate:.3g} samples per second are too few"
-        yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
+        yield Finding(
+            Level.REFUSES, FaultName.TOO_LITTLE, text, "record at 100 or more"
+        )
     yield from few_findings(2.0 * cutoff * span, span, cutoff)
 
 
@@ -213,15 +222,13 @@ def few_findings(rows: float, span: float, cutoff: float) -> Iterator[Finding]:
         span: of the logs [s].
         cutoff: of the low-pass [Hz].
     """
-    # For ten parameters and the joint's friction.
-    least_rows = 40
-    if rows < least_rows:
+    if rows < LEAST_ROWS:
         text = (
             f"{span:.3g} s behind a low-pass of {cutoff:.3g} Hz hold about {rows:.0f} independent "
-            f"samples of a joint that moves, and {least_rows} are needed"
+            f"samples of a joint that moves, and {LEAST_ROWS} are needed"
         )
         remedy = "record longer, with the time at which each sample was taken"
-        yield Finding(Level.REFUSES, "too-little", text, remedy)
+        yield Finding(Level.REFUSES, FaultName.TOO_LITTLE, text, remedy)
 
 
 def usable(

@@ -7,7 +7,7 @@ a short log, a coupled motor.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,19 +19,25 @@ from robot_sysid.dynamics.friction import (
     top_speeds,
 )
 from robot_sysid.estimate.contacts import without_contacts, without_turns
-from robot_sysid.estimate.fit import ROUNDS, Fit, Problem, correlation_times, solve
+from robot_sysid.estimate.fit import Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
     AS_STATED,
     LinkEvidence,
     average_scales,
     link_directions,
-    link_factor,
     reference_links,
     stated_kinds,
 )
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import LEAST_DRY, PER_CENT, Question, arm_question
-from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent, stated_speeds
+from robot_sysid.estimate.terms import (
+    LINKS,
+    ArmTerms,
+    Point,
+    Term,
+    independent,
+    stated_speeds,
+)
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE
@@ -40,9 +46,30 @@ from robot_sysid.signals.process import FilteredRecording
 
 # Shows nothing.
 _SILENT = Progress()
+# What is shown of the way to an answer.
+_LABEL = "Solving the equations"
 
 
-def solved(
+@dataclass(frozen=True)
+class Start:
+    """What a fit begins with, and sizes the priors of its terms by.
+
+    Attributes:
+        torque: (J,) root mean square of each joint's torque [N m].
+        noise, correlation: (J,) of its rows, as ``Problem.fit`` takes them; None for none.
+    """
+
+    torque: Array
+    noise: Array | None = None
+    correlation: Array | None = None
+
+    def fit(self, problem: Problem) -> Fit:
+        """Return the fit of a problem's question, whose bodies need not be possible ones."""
+        terms = arm_question(problem.arm, problem.question, self.torque)
+        return problem.fit(terms, None, self.noise, self.correlation, possible=False)
+
+
+def solve_question(
     robot: RobotModel,
     recordings: Sequence[FilteredRecording],
     question: Question,
@@ -50,6 +77,9 @@ def solved(
     beside: Callable[[Fit], Sequence[Term]] | None = None,
 ) -> Fit:
     """Return the fit of a question with all that the data decides about it.
+
+    Each round solves the question with what the residuals of the fit before say of noise and dry
+    friction, then linearises the torque anew at what was found.
 
     Args:
         robot: the arm with its model.
@@ -61,74 +91,94 @@ def solved(
     Raises:
         InputError: no joint moves fast enough for its equations to be used.
     """
-    options = question.options
     speeds = speeds_in(recordings)
-    stated, offered = motors_of(robot, options.torques, speeds)
+    stated, offered = motors_of(robot, question.options.torques, speeds)
     # Torque scales multiply a payload: it takes one round more. Each round has a pass for residuals
     # and one for sums, which begin with a pass.
-    n_steps = 1 + 2 * (3 if question.loaded else 2)
-
-    def advance(step: int) -> None:
-        """Show that so many steps are done."""
-        progress.advance("Solving the equations", step, n_steps, "")
-
-    def arm_of(
-        motors: Sequence[Coupling], offered: Sequence[Coupling] = ()
-    ) -> ArmTerms:
-        """Return all terms of the arm with some motors, and with columns of others."""
-        return ArmTerms(
-            robot,
-            options.torques,
-            motors,
-            options.friction,
-            question.loaded,
-            fastest_of(speeds, np.eye(robot.n_joints)),
-            offered,
+    n_rounds = 3 if question.loaded else 2
+    n_steps = 1 + 2 * n_rounds
+    progress.advance(_LABEL, 0, n_steps, "")
+    arm = arm_of(robot, question, speeds, stated, offered)
+    start, current = first_fit(arm, recordings, question)
+    for number in range(n_rounds):
+        progress.advance(_LABEL, 2 * number + 1, n_steps, "")
+        start = replace(
+            start,
+            noise=current.noise,
+            correlation=correlation_times(current.split(current.residuals)),
         )
-
-    def answer(noise: Array | None = None, possible: bool = False) -> Fit:
-        """Return the fit of the question as it is now."""
-        terms = arm_question(arm, question, torque)
-        problem = Problem(arm, tuple(recordings), point, sums, question)
-        return problem.fit(
-            terms, noise=noise, correlation=correlation, possible=possible
-        )
-
-    advance(0)
-    question = replace(question, is_first=True)
-    arm = arm_of(stated, offered)
-    point = arm.start()
-    sums = arm.sums(recordings, point)
-    torque = sums.rms_torque
-    correlation = None
-    current = without_contacts(answer())
-    recordings = current.recordings
-    sums = current.sums
-    for step in range(1, n_steps, 2):
-        advance(step)
-        question = replace(question, dry=dry_friction(current), is_first=False)
-        noise = current.noise
-        correlation = correlation_times(current.split(current.residuals))
-        if step == 1:
-            recordings = without_turns(current)
-        current = answer(noise)
-        advance(step + 1)
-        point = current.next_point()
-        is_last = step + 2 == n_steps
+        current = start.fit(judged_by_residuals(replace(current, arm=arm), number == 0))
+        progress.advance(_LABEL, 2 * number + 2, n_steps, "")
+        is_last = number + 1 == n_rounds
         if beside is not None and is_last:
             arm = arm.beside(beside(current))
+        point = current.next_point()
+        kept = current.recordings, current.question
         # Sums of a long arm are large: the old ones go before the new ones come.
-        del current, sums
-        sums = arm.sums(recordings, point, is_last)
-        current = answer(noise)
-        if step == 1 and offered:
+        del current
+        current = start.fit(problem_at(arm, point, *kept, in_blocks=is_last))
+        if number == 0 and offered:
             # Dry friction that turns round reads as a motor in sums of the rows near turns.
             chosen = choose_motors(current, offered)
-            arm = arm_of((*stated, *chosen))
-            current = answer(noise) if chosen else current
-    current = with_links_of(current, torque)
-    advance(n_steps)
+            arm = arm_of(robot, question, speeds, (*stated, *chosen))
+            current = start.fit(replace(current, arm=arm)) if chosen else current
+    current = with_links_of(current, start.torque)
+    progress.advance(_LABEL, n_steps, n_steps, "")
     return current
+
+
+def arm_of(
+    robot: RobotModel,
+    question: Question,
+    speeds: Array,
+    motors: Sequence[Coupling],
+    offered: Sequence[Coupling] = (),
+) -> ArmTerms:
+    """Return all terms of the arm with some motors, and with columns of others.
+
+    ``speeds`` (K, n) are the joints' velocities in the recordings.
+    """
+    return ArmTerms(
+        robot,
+        question.options.torques,
+        motors,
+        question.options.friction,
+        question.loaded,
+        fastest_of(speeds, np.eye(robot.n_joints)),
+        offered,
+    )
+
+
+def problem_at(
+    arm: ArmTerms,
+    point: Point,
+    recordings: Sequence[FilteredRecording],
+    question: Question,
+    in_blocks: bool,
+) -> Problem:
+    """Return a question to recordings, linearised at a point."""
+    sums = arm.sums(recordings, point, in_blocks)
+    return Problem(arm, tuple(recordings), point, sums, question)
+
+
+def first_fit(
+    arm: ArmTerms, recordings: Sequence[FilteredRecording], question: Question
+) -> tuple[Start, Fit]:
+    """Return what all fits of a question start from, and its fit without contacts at the model."""
+    first = replace(question, is_first=True)
+    problem = problem_at(arm, arm.start(), recordings, first, in_blocks=True)
+    start = Start(problem.sums.rms_torque)
+    return start, without_contacts(start.fit(problem))
+
+
+def judged_by_residuals(fitted: Fit, is_first: bool) -> Problem:
+    """Return the question of a fit with the dry friction that it found.
+
+    After the first fit, rows are left out in which a joint sticks at its turn.
+    """
+    question = replace(fitted.question, dry=dry_friction(fitted), is_first=False)
+    recordings = tuple(without_turns(fitted)) if is_first else fitted.recordings
+    return Problem(fitted.arm, recordings, fitted.point, fitted.sums, question)
 
 
 def answer_of(fitted: Fit) -> Fit:
@@ -279,36 +329,6 @@ def links_information(
             gradient = posterior @ values[span] - rows.T @ term.prior.rows[:, -1]
             return 0.5 * (curvature + curvature.T), gradient
     return None
-
-
-def common_factor(fitted: Fit, left_out: Sequence[int] = ()) -> tuple[float, float]:
-    """Return the factor on all masses of the model with which it fits the torques, and its error.
-
-    With the links k theta + k D z before the last, z ~ N(0, 1) what links are usually off by, and
-    their curvature L and gradient b by the data, k is the generalised least-squares estimate
-
-        k = theta' g / theta' M theta,   M = L - L (L + C^-1)^-1 L,   g = b - L (L + C^-1)^-1 b,
-
-    with C = k^2 D D', so that it is found by iteration. It is (1, infinite) where the links are not
-    estimated, or no positive factor fits. Some blocks may be left out.
-    """
-    information = links_information(fitted, left_out)
-    if information is None:
-        return 1.0, np.inf
-    curvature, gradient = information
-    robot = fitted.arm.robot
-    theta = reference_links(robot, fitted.arm.others)
-    share = PER_CENT * fitted.question.options.priors.link
-    usual = np.linalg.inv(link_factor(robot, fitted.arm.others, share))
-    factor = 1.0
-    for _ in range(ROUNDS):
-        shrunk = curvature @ np.linalg.inv(curvature + usual.T @ usual / factor**2)
-        precision = float(theta @ (curvature - shrunk @ curvature) @ theta)
-        weighted = float(theta @ (gradient - shrunk @ gradient))
-        if precision <= 0.0 or weighted <= 0.0:
-            return 1.0, np.inf
-        factor = weighted / precision
-    return factor, precision**-0.5
 
 
 def coupling(

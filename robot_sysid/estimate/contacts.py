@@ -31,6 +31,24 @@ MOST_STRETCHES = 5
 """Number of stretches above which a fault comes back, and is not limited in time."""
 MOST_SHARE = 0.3
 """Share of the rows above which a fault is not limited in time."""
+END = 4.0
+"""Mean residual, in ordinary sizes, at which a stretch that is far from ordinary ends."""
+SPIKE = 6.0
+"""Residual of a single row, in ordinary sizes, that has no weight in the fit."""
+WINDOW = 0.3
+"""Time over which residuals are averaged [s]: a knock lasts a tenth of it, a push more."""
+LEAST_USED = 1.0 / 3.0
+"""Share of a window's rows that have to be used; below it the others count as zero."""
+AT_TURNS = 1.4
+"""Residuals near turns, over those elsewhere, from which on friction turns round late: sensors
+behind the gears of a KUKA LWR4+ most often show 0.6 to 1.3, motor currents of a UR10e 1.6 to
+3.5."""
+LEAST_ORDINARY = 0.005
+"""Least ordinary size, as a share of a joint's torque: no joint is more right than that."""
+LEAST_TORQUE = 0.02
+"""Least torque of a joint of which this is a share, as a share of the strongest joint's."""
+DEVIATION_OVER_MEDIAN = 1.4826
+"""Standard deviation of a normal distribution over the median of its absolute values."""
 
 
 def without_contacts(fitted: Fit) -> Fit:
@@ -51,8 +69,7 @@ def without_contacts(fitted: Fit) -> Fit:
         sizes = ordinary_sizes(fitted, residuals)
         if np.max(mean_sizes(judged, sizes), initial=0.0) < 0.5 * FAR:
             return fitted
-        # Single rows that are six times the ordinary size have no weight in the fit.
-        is_far = np.any(np.abs(sizes) > 6.0, axis=1)
+        is_far = np.any(np.abs(sizes) > SPIKE, axis=1)
         if outlying is not None and np.array_equal(is_far, outlying):
             break
         outlying = is_far
@@ -97,9 +114,7 @@ def contradicted(zones: Sequence[Mask], residuals: Array) -> Mask:
     last = np.zeros(len(residuals), dtype=bool)
     for zone in zones:
         added = mean_square(residuals[zone & ~last])
-        # Sensors behind the gears of a KUKA LWR4+ most often show 0.6 to 1.3 times the residuals at
-        # turns, motor currents of a UR10e 1.6 to 3.5 times.
-        if not added > 1.4**2 * mean_square(residuals[~zone]) > 0.0:
+        if not added > AT_TURNS**2 * mean_square(residuals[~zone]) > 0.0:
             break
         last = zone
     return last
@@ -148,32 +163,31 @@ def ordinary_sizes(fitted: Fit, residuals: Array) -> Array:
     The ordinary size is the standard deviation of a normal distribution with the same median.
     """
     torque = fitted.sums.rms_torque
-    # No joint is so right that half a per cent of its torque were more than ordinary.
-    least = 0.005 * np.maximum(torque, 0.02 * np.max(torque))
+    least = LEAST_ORDINARY * np.maximum(torque, LEAST_TORQUE * np.max(torque))
     scaled = np.zeros_like(residuals)
     for joint, residual in enumerate(residuals.T):
         is_used = np.isfinite(residual)
         median = np.median(np.abs(residual[is_used])) if np.any(is_used) else 0.0
-        size = max(1.4826 * median, least[joint], 1e-300)
+        size = max(DEVIATION_OVER_MEDIAN * median, least[joint], 1e-300)
         scaled[:, joint] = np.where(is_used, residual, 0.0) / size
     return scaled
 
 
 def mean_sizes(fitted: Fit, sizes: Array) -> Array:
-    """Return the size (K, J) of means over 0.3 s of sizes (K, J) of residuals.
+    """Return the size (K, J) of means over ``WINDOW`` of sizes (K, J) of residuals.
 
-    Where fewer than a third of the rows are used, the others count as zero.
+    Where fewer rows than ``LEAST_USED`` are used, the others count as zero.
     """
     means = []
     for recording, own in zip(fitted.recordings, fitted.split(sizes)):
-        width = max(1, round(0.3 * recording.rate / recording.low_pass.step))
+        width = max(1, round(WINDOW * recording.rate / recording.low_pass.step))
         window = np.ones(min(width, len(own))) / width
         used = recording.used[:, fitted.arm.indices].astype(float)
         totals, shares = (
             np.stack([np.convolve(column, window, "same") for column in each.T], axis=1)
             for each in (own, used)
         )
-        means.append(np.abs(totals) / np.maximum(shares, 1.0 / 3.0))
+        means.append(np.abs(totals) / np.maximum(shares, LEAST_USED))
     return np.concatenate(means)
 
 
@@ -191,8 +205,7 @@ def _stretches(recording: FilteredRecording, means: Array) -> Iterator[Stretch]:
     time = recording.motion.time
     # Time that the low-pass mixes with what happens in a stretch.
     margin = 0.5 / recording.cutoff
-    # A stretch that is far from ordinary ends where residuals are four times the ordinary size.
-    for rows in true_runs(np.max(means, axis=1) > 4.0):
+    for rows in true_runs(np.max(means, axis=1) > END):
         joints = np.max(means[rows], axis=0) > FAR
         if np.any(joints):
             start, stop = time[[rows.start, rows.stop - 1]].tolist()

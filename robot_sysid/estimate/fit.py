@@ -46,6 +46,12 @@ from robot_sysid.spatial import N_INERTIAL
 
 ROUNDS = 12
 """Most rounds of an iteration, which ends where nothing changes any more."""
+FIRST_NOISE = 0.05
+"""Noise that a fit begins with, as a share of each joint's torque."""
+SAME_NOISE = 1e-3
+"""Relative change of the noise below which it has been found."""
+# Variance of a parameter, over that of its column alone, from which on nothing shows it.
+_HIDDEN = 1e9
 # Added to the diagonal of scaled equations: parameters that nothing shows stay at the model's.
 _RIDGE = 1e-12
 
@@ -237,13 +243,15 @@ class Problem:
         """
         equations = equations_of(self.arm, self.sums, terms, held or {})
         torque = self.sums.rms_torque
-        noise = self.sums.noise_above_least(0.05 * torque if noise is None else noise)
+        noise = self.sums.noise_above_least(
+            FIRST_NOISE * torque if noise is None else noise
+        )
         correlation = np.ones_like(noise) if correlation is None else correlation
         fitted = self._fit_at(equations, noise, correlation, equations.reference)
         for _ in range(ROUNDS):
             previous = fitted.noise
             fitted = replace(fitted, noise=fitted.residual_noise())
-            if np.max(np.abs(fitted.noise / previous - 1.0)) < 1e-3:
+            if np.max(np.abs(fitted.noise / previous - 1.0)) < SAME_NOISE:
                 break
         fitted = fitted.constrained(fitted.normal, False)
         fitted = replace(fitted, free=fitted.values)
@@ -369,8 +377,7 @@ class Fit(Problem):
     def is_hidden(self) -> NDArray[np.bool_]:
         """Which estimated parameters (k,) nothing shows: neither data nor prior."""
         own = np.diag(self.normal)[:-1]
-        # Its variance is then far above that of its column alone.
-        return (own == 0.0) | (np.diag(self.inverse) * own > 1e9)
+        return (own == 0.0) | (np.diag(self.inverse) * own > _HIDDEN)
 
     @cached_property
     def covariance(self) -> Array:

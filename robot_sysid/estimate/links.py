@@ -38,6 +38,15 @@ from robot_sysid import spatial
 from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
 from robot_sysid.spatial import N_INERTIAL, ROD_MOMENT
 
+INERTIA_OVER_MASS = 2.0
+"""Error of a link's moments of inertia over that of its mass, as shares (``usual_errors.LINK``)."""
+PLACEHOLDER_INERTIA = 1.5
+"""The same of moments that stand for a body of the link's geometry, whose error is as large as the
+body's: at a share of one, it lies between nothing and two and a half times as much."""
+BETWEEN_ENDS = 0.5
+"""Where the centre of mass lies of a link that does not state it, as a share of its size: somewhere
+between its ends."""
+
 
 @dataclass(frozen=True)
 class LinkScales:
@@ -150,14 +159,14 @@ def own_errors(link: ArmLink, least_mass: float) -> Array:
     weight = max(1.0, least_mass / mass)
     # No link counts as smaller than a rod.
     moment = max(np.trace(inertia) / 3.0, weight * mass * ROD_MOMENT * link.size**2)
-    # The centre of mass of a link that does not state it lies somewhere between its ends.
-    reach = link.size * (0.5 if KINDS[1] in link.placeholders else 1.0)
+    reach = link.size * (BETWEEN_ENDS if KINDS[1] in link.placeholders else 1.0)
     columns = [weight * link.reference]
     for step in reach * np.eye(3):
         ahead = spatial.theta_from_com(mass, com + step, inertia)
         behind = spatial.theta_from_com(mass, com - step, inertia)
         columns.append(0.5 * weight * (ahead - behind))  # central difference
-    spread = 1.5 if KINDS[2] in link.placeholders else 2.0
+    is_placeholder = KINDS[2] in link.placeholders
+    spread = PLACEHOLDER_INERTIA if is_placeholder else INERTIA_OVER_MASS
     return np.column_stack([*columns, *(spread * moment * np.eye(10)[4:])])
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.option_fields import (
     Columns,
     Factors,
@@ -15,33 +16,6 @@ from robot_sysid.records.option_fields import (
     check_factor,
     option,
 )
-
-CHECKS = {
-    "torque-scale": "torque in another unit, on the motor's side of the gear, or scaled",
-    "torque-unit": "torque that is not in N·m, each joint's by another factor",
-    "gravity": "torque without gravity, or external torque only",
-    "computed": "torque that was computed, not measured",
-    "sign": "sign of a position or torque",
-    "order": "columns of joints exchanged",
-    "angle-unit": "degrees for radians or the other way round",
-    "zero": "zero of a joint's position",
-    "model": "model of another arm, or with another tool",
-    "tilt": "base tilted against the model's",
-    "clock": "clock that jumps or drifts, a wrong time base, or samples lost or repeated",
-    "delay": "torque delayed against position",
-    "saturated": "torque sensor at its end",
-    "held": "torque that stands still while the arm moves",
-    "contact": "contact, a collision or a moving gripper",
-    "force": "constant force, a spring, a hose, or a hand that carries a part",
-    "payload-step": "payload that changes within the log",
-    "coupling": "one motor that turns with two joints",
-    "crosstalk": "torque that holds a part of its neighbour's",
-    "friction": "friction that changes as gears warm up, or grows with the load",
-    "unexplained": "torque that nothing explains",
-    "too-little": "too few independent samples",
-    "rollout": "new model that does not move more like the arm than the old one",
-}
-"""Name of every check of a log, as ``--accept`` takes it, to the fault that it looks for."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +65,7 @@ class LogOptions(OptionRecord):
         (),
         "go on in spite of the doubts of this check; may be repeated",
         "CHECK",
-        choices=tuple(CHECKS),
+        choices=tuple(map(str, FaultName)),
         repeats=True,
     )
     commanded: bool = False

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.errors import SysidError
-from robot_sysid.estimate.choose import answer_of, solved
+from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit, LeftOut
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question, arm_question
@@ -115,7 +115,7 @@ class Change(Quantity):
         A friction that falls to a half has changed as much as one that doubles.
         """
         if self.name == "friction" and self.value < 0.0:
-            return self.least / (1.0 - 0.01 * self.least)
+            return self.least / (1.0 - self.least / 100.0)
         return self.least
 
 
@@ -199,7 +199,7 @@ def weigh(fitted: Fit, is_on: bool) -> tuple[Array, Array]:
         for recording in fitted.recordings
     ]
     question = Question(fitted.question.options, loaded=True)
-    weighed = answer_of(solved(fitted.arm.robot, recordings, question))
+    weighed = answer_of(solve_question(fitted.arm.robot, recordings, question))
     at = weighed.at(PAYLOAD_NAMES)
     return (1.0 if is_on else -1.0) * weighed.values[at], weighed.errors[at]
 

@@ -39,6 +39,7 @@ from robot_sysid.pipeline.changes import (
 )
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Recording, RobotModel
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.file_access import RUN_NAME, read_toml
 from robot_sysid.records.levels import UNEXPLAINED
 from robot_sysid.records.messages import (
@@ -49,18 +50,27 @@ from robot_sysid.records.messages import (
     torque_unit,
     with_error,
 )
+from robot_sysid.records.parameters import ZERO
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
 
-# Checks that find that nothing explains a log.
-_MISFITS = ("model", "unexplained")
-# Checks whose findings are of the arm, whatever they are worth.
-_OF_ARM = ("torque-scale", "zero", "tilt", "delay", "force", "payload-step", "friction")
+# Faults that say that nothing explains a log.
+_MISFITS = (FaultName.MODEL, FaultName.UNEXPLAINED)
+# Faults of the arm, whatever they are worth.
+_OF_ARM = (
+    FaultName.TORQUE_SCALE,
+    FaultName.ZERO,
+    FaultName.TILT,
+    FaultName.DELAY,
+    FaultName.FORCE,
+    FaultName.PAYLOAD_STEP,
+    FaultName.FRICTION,
+)
 # Friction that holds a joint at a turn and lets go looks like a contact: it is said as what it is.
-_MOMENTARY = "contact"
+_MOMENTARY = FaultName.CONTACT
 _LOOK = "look after these joints, and at the log by itself: robot-sysid log LOG MODEL"
-# Checks whose doubts are of what both sides share, which is no change, or of what is compared.
-_SHARED = ("torque-scale", "zero")
+# Faults that both sides share, which is no change, or that are compared.
+_SHARED = (FaultName.TORQUE_SCALE, FaultName.ZERO)
 # Name of a row to what is compared, in words.
 _WORDS = {
     "m": "load",
@@ -163,8 +173,8 @@ def check_log(
     if changed:
         # A log that is wrong differs, too. A zero that has moved is what was asked.
         found = _found_alone(robot, second, config)
-        if changed == {"zero"}:
-            found = [each for each in found if each.about != "zero"]
+        if changed == {ZERO.name}:
+            found = [each for each in found if each.about is not FaultName.ZERO]
         require_acceptable(second, found, (*config.log.accept, *_SHARED))
     if all(row.reason == UNKNOWN for row in rows):
         raise InputError(
@@ -219,7 +229,7 @@ def compare_with_model(
     notes = (*_momentary(judged.fit), *notes)
     if explains and not is_differing:
         # Links that are off as a whole, but not what they weigh at any joint, are no difference.
-        found = [each for each in found if each.about != "model"]
+        found = [each for each in found if each.about is not FaultName.MODEL]
     # Numbers that explain all say more than what was found one after the other.
     if explains and (is_differing or not found):
         verdict = verdict_on(rows, of_model=True)
@@ -358,7 +368,7 @@ def _found_alone(
 
 def _without_factors(found: Iterable[Finding]) -> list[Finding]:
     """Return findings but for a factor on all torques or masses: no change is one."""
-    return [f for f in found if all(key != "--mass-scale" for key, *_ in f.options)]
+    return [each for each in found if not each.is_common_factor]
 
 
 def _of_earlier(error: InputError, model: Path, since: Sequence[Any]) -> InputError:
@@ -399,7 +409,7 @@ def compare_logs(
     is_loaded = [False] * len(sides[0]) + [True] * len(sides[1])
     orders = [1.0 if loaded else -1.0 for loaded in is_loaded]
     judged = judge(robot, logs, question, progress, is_loaded, orders)
-    accepted = {*_SHARED}
+    accepted: set[str] = {*_SHARED}
     for config in configs:
         accepted |= {*config.log.accept}
     judged = replace(judged, findings=tuple(_without_factors(judged.findings)))

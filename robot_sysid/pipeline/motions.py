@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
 
+LONGEST_CHECKED = 3600.0
+"""Longest motion that is checked against all limits, which takes minutes for an hour [s]."""
+
 
 @dataclass(frozen=True)
 class CheckedPlan:
@@ -100,11 +103,10 @@ def _require_possible(config: MotionConfig, duration: float) -> None:
     """
     duration = duration / config.trajectory.speed
     require_countable(duration, config.trajectory.sample_rate)
-    longest = 3600.0
-    if is_checked(config) and duration > longest:
+    if is_checked(config) and duration > LONGEST_CHECKED:
         raise InputError(
             f"a motion of {duration:.3g} s takes too long to check against all limits; make it at "
-            f"most {longest:g} s long"
+            f"most {LONGEST_CHECKED:g} s long"
         )
 
 

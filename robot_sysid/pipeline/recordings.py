@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robot_sysid.config import IdentifyConfig, PayloadConfig, SelfTestConfig
 from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.choose import answer_of, solved
+from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import predicted
 from robot_sysid.estimate.payload import payload_result, written_payload
@@ -110,7 +110,7 @@ def identify_plant(
     notes = (*plant.notes, *piece_notes(run, pieces), *filter_notes)
     progress.note(*notes)
     progress.stage("Solving for parameters...")
-    fitted = answer_of(solved(robot, recordings, Question(options), progress))
+    fitted = answer_of(solve_question(robot, recordings, Question(options), progress))
     return _result(fitted, origin, notes, progress)
 
 
@@ -197,7 +197,7 @@ def identify_payload(
     fitted, file = weighed, None
     if options.known_mass is not None:
         known = replace(question, known_mass=options.known_mass)
-        fitted = answer_of(solved(robot, weighed.recordings, known, progress))
+        fitted = answer_of(solve_question(robot, weighed.recordings, known, progress))
     elif config.estimation.torques == "chain":
         progress.stage(Detail("Fitting the model file..."))
         carried, _ = written_payload(weighed)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.records import Array
+from robot_sysid.records.fault_names import FaultName
 
 FAILURE_TIME = 0.2
 """Time for which a channel that failed repeats one value [s]."""
@@ -17,12 +18,12 @@ CLEAR_JUMP = 3.0
 
 
 class Stretch(NamedTuple):
-    """A stretch of time with a fault: begin and end [s], joints that show it, and its check."""
+    """A stretch of time with a fault: begin and end [s], joints that show it, and its name."""
 
     start: float
     stop: float
     joints: NDArray[np.bool_]
-    check: str = "contact"
+    name: FaultName = FaultName.CONTACT
 
 
 def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:

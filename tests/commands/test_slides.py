@@ -13,11 +13,13 @@ from rigs import arms
 from rigs.command_line import OUT
 from rigs.core_fits import filter_logs, fit_recordings
 from rigs.measured_logs import log_of, plan_of
-from robot_sysid.diagnosis.causes import beside, explanations
+from robot_sysid.diagnosis.fault_columns import fault_columns
+from robot_sysid.diagnosis.faults import explanations
 from robot_sysid.diagnosis.gate import slow_findings
 from robot_sysid.estimate.trust import implausible_joints
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.results.record import Quantity
 
 FRICTION = 'frictionloss=".3" damping=".2" armature=".05"'
@@ -81,12 +83,12 @@ def test_no_command_gives_a_slide_the_units_of_a_hinge(command, robot, tmp_path)
 
 def test_explanations_of_a_slide_are_in_its_units(robot):
     log = log_of(robot, plan_of(robot), noise_torque=0.02)
-    fitted = fit_recordings(robot, filter_logs(robot, log), beside=beside)
+    fitted = fit_recordings(robot, filter_logs(robot, log), beside=fault_columns)
     for explanation in explanations(fitted):
         has_unit_of_hinge = OF_HINGES.search(explanation.unit)
-        assert not (has_unit_of_hinge and "joint lift" in explanation.text)
-        is_of_hinge = re.search("joint (bend|roll)", explanation.text)
-        if is_of_hinge and explanation.check == "zero":
+        joint = explanation.words.get("joint")
+        assert not (has_unit_of_hinge and joint == "lift")
+        if joint in ("bend", "roll") and explanation.fault.name is FaultName.ZERO:
             assert has_unit_of_hinge
 
 

@@ -24,7 +24,12 @@ from rigs.payload_logs import (
 from rigs.releases import since
 from rigs.stepped_arm import stepped_log
 from rigs.wrong_arms import NOISE, draw_arm, noise_samples
-from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of, solved
+from robot_sysid.estimate.choose import (
+    dry_friction,
+    link_evidence,
+    motors_of,
+    solve_question,
+)
 from robot_sysid.estimate.links import (
     AS_STATED,
     LinkEvidence,
@@ -303,7 +308,7 @@ def test_the_prior_of_links_widens_where_the_models_are_wrong(plant):
 def test_progress_grows_to_its_end_whatever_is_asked(recordings):
     progress = NoteRecorder()
     question = Question(EstimationOptions(), loaded=True, drifts=True)
-    solved(ROBOT, recordings[:2], question, progress)
+    solve_question(ROBOT, recordings[:2], question, progress)
     assert progress.shares[0] == 0.0 and progress.shares[-1] == 1.0
     assert np.all(np.diff(progress.shares) > 0.0)
 

@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from rigs import arms
 from rigs.excitation_arms import link_covariance, make_problem, robot
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS, SCALES
@@ -52,7 +52,7 @@ def identify_recording(options, seed):
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
     measured_options = replace(options, friction_model=DEFAULT_FRICTION)
     recordings, _ = low_pass_recordings(robot(ARM), [replace(recording, name="log")])
-    return solved(robot(ARM), recordings, Question(measured_options))
+    return solve_question(robot(ARM), recordings, Question(measured_options))
 
 
 def test_predicted_errors_of_an_exact_arm_equal_reported_errors():

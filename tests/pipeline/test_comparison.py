@@ -14,7 +14,7 @@ from rigs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 from robot_sysid import spatial
 from robot_sysid.diagnosis.gate import Judged
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.logs.text import write_measurement_csv
@@ -57,7 +57,7 @@ def rows_of(seed, body=NOTHING, friction=0.0, swapped=False, **after):
         log = replace(log, is_loaded=is_later, order=1.0 if is_later else -1.0)
         recordings.append(add_noise(log, 0.05, [seed, is_second]))
     question = change_question(ArmTerms(ROBOT, loaded=True), EstimationOptions())
-    return changes(solved(ROBOT, recordings, question))
+    return changes(solve_question(ROBOT, recordings, question))
 
 
 def named(rows):

@@ -15,8 +15,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.limited_in_time import MANY_VALUES, failed_sensors, leave_out
+from robot_sysid.diagnosis.stretches import MANY_VALUES, failed_sensors, leave_out
 from robot_sysid.records import Array, Recording, RobotModel
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, count_text, percent, torque_unit
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
@@ -25,56 +26,100 @@ from robot_sysid.signals.resampling import (
     select_pieces,
 )
 
+ENOUGH_STEPS = 100
+"""Steps of a piece, or of a log, below which nothing is said of its clock."""
+PART = 60.0
+"""Time of a log that is judged at once [s]."""
+JUMP = 1.4
+"""Displacement in a long step, over that of a single step, below which the clock has jumped: with a
+sample missing it has two."""
+DOUBLE_SPEED = (1.6, 4.0)
+"""Speeds of a step, over that of its neighbours, that say that samples are lost: one doubles it."""
+UNEVEN_SPEED = (1.25, 1.5)
+"""Speeds that only noise makes."""
+STANDING_SPEED = 0.3
+"""Speed of a step, over that of its neighbours, below which it repeats a position."""
+FEW = 0.003
+"""Share of steps above which a finding is made."""
+MUCH = 0.02
+"""Share of steps with lost samples from which on a log is refused."""
+UNEVEN_STAMPS = 0.02
+"""Typical deviation of a step's duration above which stamps are those of a slow computer: a lower
+cut-off makes up for them."""
+NOISE_OVER_EXCESS = 3.0
+"""Steps with the larger speed over those with the smaller one that noise may make."""
+OTHER = 0.5
+"""Relative difference above which velocities are of another motion, or in another unit."""
+WINDOW = 16.0
+"""Length of the windows in which velocities and positions are compared [s]."""
+COMPARED = 64.0
+"""Time of a log in which they are compared [s]."""
+LEAST_MOVE = 0.01
+"""Squared displacement of a joint that moves enough, over that of the joint that moves most."""
+RIGHT_TIME = 0.03
+"""Error of time by velocities that is none: correct logs have 0.001, a log whose velocities pass a
+low-pass of 3 Hz has 0.028."""
+IN_COMMON = 0.02
+"""Largest difference of joints' ratios that have one error of time in common."""
+ODD_VELOCITY = 0.1
+"""Error of a joint's velocities from which on it is noted."""
+CLEAR_STEP = 64.0
+"""Squared displacement of a step over that of noise from which on its speed says something."""
+LEAST_STEP = 0.02
+"""The same over that of the fastest step: with a seventh of the speed or less, near a reversal, a
+step says little of the clock."""
+NEAR_END = 0.02
+"""Distance from an end of a channel's range that is near it, as a share of the range."""
+SATURATED = 0.005
+"""Share of samples at one value, the end of the range, above which a sensor saturates."""
+AT_END_OVER_NEAR = 4.0
+"""Samples at the end of the range over those near it that chance does not make."""
+
 
 def clock_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
     """Yield findings on the clock: lost samples, repeated samples, and jumps of the time stamps.
 
-    Nothing is found in pieces, or a log, of fewer than 100 steps.
+    Nothing is found in pieces, or a log, of fewer than ``ENOUGH_STEPS``.
     """
-    enough = 100
-    # A minute of a log is judged at once.
-    parts = cut_pieces(pieces, 60.0)
-    steps = [_steps(part) for part in parts if len(part) > enough]
+    parts = cut_pieces(pieces, PART)
+    steps = [_steps(part) for part in parts if len(part) > ENOUGH_STEPS]
     if not steps:
         return
     speed, duration = map(np.concatenate, zip(*steps))
-    if len(speed) < enough:
+    if len(speed) < ENOUGH_STEPS:
         return
     # Speeds and durations are relative to those of the steps around, see ``_steps``: a jump of the
     # clock has the displacement of a single step.
     is_long = duration > GAP_STEPS
-    jumps = np.sum(is_long & (speed * duration < 1.4) & (speed > 0.0))
+    jumps = np.sum(is_long & (speed * duration < JUMP) & (speed > 0.0))
     speed[is_long] = 1.0
     # A lost sample doubles the speed; noise makes smaller excesses, too, and more of them.
-    lost = float(np.mean((speed > 1.6) & (speed < 4.0)))
-    uneven = float(np.mean((speed > 1.25) & (speed < 1.5)))
-    repeated = float(np.mean(np.abs(speed) < 0.3))
-    # Share of steps above which a finding is made.
-    few = 0.003
-    # Stamps that are uneven anyway are those of a slow computer: a lower cut-off makes up for them.
-    is_uneven = np.median(np.abs(duration - 1.0)) > 0.02
+    lost, uneven = (
+        float(np.mean((speed > least) & (speed < largest)))
+        for least, largest in (DOUBLE_SPEED, UNEVEN_SPEED)
+    )
+    repeated = float(np.mean(np.abs(speed) < STANDING_SPEED))
+    is_uneven = np.median(np.abs(duration - 1.0)) > UNEVEN_STAMPS
     level = Level.SAYS if is_uneven else Level.DOUBTS
     remedy = "record the time at which each sample was taken"
     # Noise that makes many steps of the smaller excess may also make those with the larger one.
-    if lost > max(few, 3.0 * uneven):
+    if lost > max(FEW, NOISE_OVER_EXCESS * uneven):
         text = f"{percent(lost)} of the steps have lost samples that the time stamps do not show"
-        is_much = lost > 0.02 and not is_uneven
-        yield Finding(Level.REFUSES if is_much else level, "clock", text, remedy)
+        is_much = lost > MUCH and not is_uneven
+        yield Finding(
+            Level.REFUSES if is_much else level, FaultName.CLOCK, text, remedy
+        )
     # A low-pass smooths a repeated sample away, but not a wrong time.
-    if repeated > few:
+    if repeated > FEW:
         text = (
             f"{percent(repeated)} of the steps repeat the position of the sample before while the "
             "arm moves"
         )
-        yield Finding(Level.SAYS, "clock", text, remedy)
+        yield Finding(Level.SAYS, FaultName.CLOCK, text, remedy)
     if jumps:
         text = f"the clock jumps ahead {count_text(jumps, 'time')} without a sample missing"
         remedy = "use the time stamps of the controller's own clock"
-        yield Finding(level, "clock", text, remedy)
-
-
-OTHER = 0.5
-"""Relative difference above which velocities are of another motion, or in another unit."""
+        yield Finding(level, FaultName.CLOCK, text, remedy)
 
 
 def velocity_ratios(pieces: Sequence[Recording]) -> Array:
@@ -94,7 +139,7 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     from scipy.integrate import cumulative_trapezoid
 
     displacements = []
-    for piece in select_pieces([*cut_pieces(pieces, 16.0)], 64.0):
+    for piece in select_pieces([*cut_pieces(pieces, WINDOW)], COMPARED):
         length = max(1, round(1.0 / sampling_period(piece.time)))
         if len(piece) > length:
             integral = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
@@ -108,7 +153,7 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     squares = np.sum(by_position**2, axis=0)
     products = np.sum(by_position * by_velocity, axis=0)
     # Joints that move enough, with a tenth of the largest displacement.
-    moving = squares > 0.01 * np.max(squares)
+    moving = squares > LEAST_MOVE * np.max(squares)
     ratios[moving] = products[moving] / squares[moving]
     return ratios
 
@@ -122,20 +167,21 @@ def time_share(ratios: Array) -> float | None:
     if not len(off):
         return None
     share = float(np.median(off))
-    # Correct logs have 0.001, a log whose velocities pass a low-pass of 3 Hz has 0.028.
-    is_common = 0.03 < abs(share) < OTHER and np.ptp(off) < 0.02
+    is_common = RIGHT_TIME < abs(share) < OTHER and np.ptp(off) < IN_COMMON
     return share if is_common else 0.0
 
 
 def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Finding]:
     """Yield a note where ratios (n,) of ``velocity_ratios`` are not one."""
     off = np.abs(ratios - 1.0)
-    odd = np.flatnonzero((off > 0.1) & (off < OTHER))
+    odd = np.flatnonzero((off > ODD_VELOCITY) & (off < OTHER))
     if len(odd):
         names = ", ".join(joint_names[k] for k in odd.tolist())
         factor = np.median(ratios[odd])
         text = f"recorded velocities of {names} are {factor:.3g} times the derivatives of positions"
-        yield Finding(Level.SAYS, "clock", f"{text}, which are used in their place")
+        yield Finding(
+            Level.SAYS, FaultName.CLOCK, f"{text}, which are used in their place"
+        )
 
 
 def _steps(piece: Recording) -> tuple[Array, Array]:
@@ -161,9 +207,7 @@ def _steps(piece: Recording) -> tuple[Array, Array]:
     encoder_step = np.min(moves, axis=0)
     jitter = np.maximum(jitter, np.where(np.isfinite(encoder_step), encoder_step, 0.0))
     duration = step[2:-2] / typical_step
-    # Steps within noise, or with a seventh of the fastest speed or less, near a reversal, say
-    # little of the clock.
-    is_clear = square > max(64.0 * np.sum(jitter**2), 0.02 * np.max(square))
+    is_clear = square > max(CLEAR_STEP * np.sum(jitter**2), LEAST_STEP * np.max(square))
     distance = product[is_clear] / square[is_clear]
     return distance / duration[is_clear], duration[is_clear]
 
@@ -176,13 +220,12 @@ def saturation_findings(
     for name, values in zip(robot.joint_names, np.concatenate(torques).T):
         if len(np.unique(values)) < MANY_VALUES:
             continue
-        near = 0.02 * np.ptp(values)
+        near = NEAR_END * np.ptp(values)
         for end in (np.min(values), np.max(values)):
             # One sample is at the end of any range.
             count = np.sum(values == end) - 1
             others = np.sum(np.abs(values - end) < near) - count
-            # By chance, they are not four times as many as those close to the end.
-            if count > max(0.005 * len(values), 4.0 * others):
+            if count > max(SATURATED * len(values), AT_END_OVER_NEAR * others):
                 share = percent(count / len(values))
                 unit = torque_unit(name in robot.slides)
                 text = (
@@ -190,7 +233,10 @@ def saturation_findings(
                     f"range, in {share} of the samples: the sensor saturates"
                 )
                 yield Finding(
-                    Level.DOUBTS, "saturated", text, "move slower, or carry less"
+                    Level.DOUBTS,
+                    FaultName.SATURATED,
+                    text,
+                    "move slower, or carry less",
                 )
 
 

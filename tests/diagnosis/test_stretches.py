@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import robot_sysid
 from rigs import arms
 from rigs.log_files import JOINTS
-from robot_sysid.diagnosis.limited_in_time import failed_sensors, leave_out
+from robot_sysid.diagnosis.stretches import failed_sensors, leave_out
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.frozen import Stretch

@@ -18,7 +18,7 @@ from rigs.places import MODELS as public_models
 from rigs.wrong_arms import ARMS, DEVIATIONS, draw_arm, truth_of
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import TRYING, require_acceptable
-from robot_sysid.diagnosis.log_checks import (
+from robot_sysid.diagnosis.samples import (
     clock_findings,
     saturation_findings,
     time_share,
@@ -27,9 +27,9 @@ from robot_sysid.diagnosis.log_checks import (
 )
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, with_gravity
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import (
@@ -292,16 +292,13 @@ def test_correct_logs_of_public_arms_draw_no_alarm(
 
 FINDINGS = st.lists(
     st.builds(
-        Finding,
-        st.sampled_from(Level),
-        st.sampled_from(sorted(CHECKS)),
-        st.just("words"),
+        Finding, st.sampled_from(Level), st.sampled_from([*FaultName]), st.just("words")
     ),
     max_size=6,
 )
 
 
-@given(FINDINGS, st.sets(st.sampled_from(sorted(CHECKS))))
+@given(FINDINGS, st.sets(st.sampled_from([*FaultName])))
 def test_refusals_and_doubts_that_nobody_accepts_stop(findings, accepted):
     refused = any(f.level is Level.REFUSES for f in findings)
     doubts = {f.about for f in findings if f.level is Level.DOUBTS} - accepted

@@ -11,11 +11,12 @@ import pytest
 from rigs import arms
 from rigs.log_files import titles_alone
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.log_refusal import refuse_for
-from robot_sysid.diagnosis.relabelling import steps
+from robot_sysid.diagnosis.columns import OF_COLUMNS, mistakes
+from robot_sysid.diagnosis.refusal import refuse_for
 from robot_sysid.errors import ColumnsError
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import read_columns
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level
 
 ROBOT = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:3]))
@@ -29,7 +30,9 @@ FILE = (
     "# mine\ntime = #1\nposition = #2, #3, #4\nvelocity = #5, #6, #7\n"
     "torque = #8, #9, #10\ntorque.joint1 = 0.5 * #9\n"
 )
-CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.text]
+CORRECTIONS = [
+    s.reading.columns for s in mistakes(ROBOT, range(3)) if s.name in OF_COLUMNS
+]
 
 
 def columns_of(titles, path):
@@ -130,6 +133,6 @@ def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
         name="run.csv", columns=SimpleNamespace(angle_declared=is_declared)
     )
     option = ("--units", "deg")
-    finding = Finding(Level.REFUSES, "angle-unit", "degrees", options=(option,))
+    finding = Finding(Level.REFUSES, FaultName.ANGLE_UNIT, "degrees", options=(option,))
     error = refuse_for([log], finding)
     assert error.options == (() if is_declared else (option,))

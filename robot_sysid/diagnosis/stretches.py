@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from robot_sysid.diagnosis import Finding
 from robot_sysid.estimate.contacts import MOST_SHARE, MOST_STRETCHES
 from robot_sysid.records import Array, Recording
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, count_text
 from robot_sysid.signals.frozen import Stretch, equal_runs, frozen_positions, true_runs
 
@@ -31,15 +32,15 @@ def failed_sensors(pieces: Sequence[Recording]) -> Iterator[Stretch]:
     for piece in pieces:
         joints = np.eye(piece.q.shape[1], dtype=bool)
         for joint, q, tau in zip(joints, piece.q.T, piece.tau.T):
-            runs = [("held", rows) for rows in frozen_positions(piece.time, q)]
+            runs = [(FaultName.HELD, rows) for rows in frozen_positions(piece.time, q)]
             runs += held_torques(piece, tau)
-            for check, rows in runs:
+            for name, rows in runs:
                 start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
-                yield Stretch(start, stop, joint, check)
+                yield Stretch(start, stop, joint, name)
 
 
-def held_torques(piece: Recording, tau: Array) -> Iterator[tuple[str, slice]]:
-    """Yield (check, rows) where a torque (N,) repeats its value while the arm moves."""
+def held_torques(piece: Recording, tau: Array) -> Iterator[tuple[FaultName, slice]]:
+    """Yield (name, rows) where a torque (N,) repeats its value while the arm moves."""
     if len(np.unique(tau)) < MANY_VALUES:
         return
     ends = np.min(tau), np.max(tau)
@@ -47,7 +48,10 @@ def held_torques(piece: Recording, tau: Array) -> Iterator[tuple[str, slice]]:
         # The range of positions counts: an arm may return to where it was.
         length = min(float(np.ptp(piece.time[rows])), 1.0)
         if np.max(np.ptp(piece.q[rows], axis=0)) > SLOWEST * length:
-            yield "saturated" if tau[rows.start] in ends else "held", rows
+            yield (
+                FaultName.SATURATED if tau[rows.start] in ends else FaultName.HELD,
+                rows,
+            )
 
 
 def leave_out(
@@ -76,8 +80,8 @@ def leave_out(
         left_out = np.any(wrong, axis=1)
         for rows in true_runs(left_out):
             start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
-            *_, check = (s.check for s in stretches if s.start <= start <= s.stop)
-            runs.append(Stretch(start, stop, np.any(wrong[rows], axis=0), check))
+            *_, name = (s.name for s in stretches if s.start <= start <= s.stop)
+            runs.append(Stretch(start, stop, np.any(wrong[rows], axis=0), name))
         left_out_count += int(np.sum(left_out))
         if not np.any(left_out):
             kept.append(piece)
@@ -97,17 +101,18 @@ def stretch_findings(
     It is a doubt where they are too many, or too much (``is_much``) of a log.
     """
     texts = []
-    for start, stop, joints, check in stretches:
-        fault = "something touched the arm" if check == "contact" else "a sensor failed"
+    for start, stop, joints, name in stretches:
+        is_touched = name is FaultName.CONTACT
+        fault = "something touched the arm" if is_touched else "a sensor failed"
         names = ", ".join(compress(joint_names, joints))
         texts.append(f"{fault} from {start:.2f} s to {stop:.2f} s ({names})")
     if is_much or len(texts) > MOST_STRETCHES:
         count = count_text(len(texts), "time")
         text = f"{texts[0]}; {count} in all, too much to leave out"
         remedy = "record again without it"
-        return [Finding(Level.DOUBTS, stretches[0].check, text, remedy)]
+        return [Finding(Level.DOUBTS, stretches[0].name, text, remedy)]
     return [
-        Finding(Level.SAYS, stretch.check, f"{text}: left out")
+        Finding(Level.SAYS, stretch.name, f"{text}: left out")
         for stretch, text in zip(stretches, texts)
     ]
 

@@ -13,6 +13,7 @@ from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs.declarations import column_text, declarations
 from robot_sysid.records import Column, ColumnMap, Recording
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.option_fields import Columns
 
 
@@ -26,7 +27,7 @@ def refuse_for(logs: Sequence[Recording], finding: Finding) -> InputError:
     text = f"{names}: {finding.sentence}"
     options = finding.options
     columns = log.columns
-    if finding.about == "angle-unit" and columns and columns.angle_declared:
+    if finding.about is FaultName.ANGLE_UNIT and columns and columns.angle_declared:
         options = ()  # A unit in a title outranks the option.
     if finding.correction is not None and columns and (finding.command or not options):
         lines = _corrected_lines(log.joint_names, columns, finding.correction)

@@ -1,0 +1,233 @@
+"""The table of mistakes in a log's columns, and how a log is read without them.
+
+Signs, exchanged joints, turned zeros, degrees and another mounting of the base change a log by
+steps, not by a small amount, so that they have no column in the fit: each is another reading of the
+log. ``column_search`` finds the readings that fit.
+
+Throughout, n is the number of joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+
+from robot_sysid.diagnosis import ColumnCorrection
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector
+from robot_sysid.estimate.rows import Rows
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.fault_names import FaultName
+from robot_sysid.signals.process import FilteredRecording
+
+_RIGHT_COLUMNS = "put the columns right with {columns FILE}"
+OF_COLUMNS = (FaultName.SIGN, FaultName.ORDER, FaultName.ANGLE_UNIT)
+"""Mistakes whose words are their own, and which other columns put right."""
+_TURNS = np.radians((90.0, -90.0, 180.0))
+"""Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
+_RADIANS_PER_DEGREE = np.radians(1.0)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a log has to be read otherwise: right columns are matrices, with one number per row and
+    column, times recorded ones, plus angles.
+
+    Attributes:
+        position: (n, n) of positions.
+        torque: (n, n) of torques.
+        zeros: (n,) added to positions [rad].
+        gravity: (3,) [m/s^2]; None for the model's.
+    """
+
+    position: Array
+    torque: Array
+    zeros: Array
+    gravity: Array | None = None
+
+    @classmethod
+    def of(cls, n: int, mistakes: Sequence[Mistake] = ()) -> Reading:
+        """Return the reading of the log of n joints without mistakes, one after the other."""
+        reading = cls(np.eye(n), np.eye(n), np.zeros(n))
+        for mistake in mistakes:
+            right = mistake.reading
+            reading = cls(
+                right.position @ reading.position,
+                right.torque @ reading.torque,
+                right.position @ reading.zeros + right.zeros,
+                reading.gravity if right.gravity is None else right.gravity,
+            )
+        return reading
+
+    @classmethod
+    def with_torque_times(cls, factors: Array) -> Reading:
+        """Return the reading in which torques are multiplied by factors (n,)."""
+        return replace(cls.of(len(factors)), torque=np.diag(factors))
+
+    def apply(self, recording: FilteredRecording) -> FilteredRecording:
+        """Return a recording read so, of which as many rows are used."""
+        position = self.position.T
+        rows = Rows(recording, slice(None))
+        dry = rows.low_passed("coulomb", lambda motion: np.sign(motion.qd))
+        # A joint's rows are those in which it moves.
+        return recording.using(
+            recording.used @ (position != 0.0),
+            q=recording.q @ position + self.zeros,
+            qd=recording.qd @ position,
+            qdd=recording.qdd @ position,
+            tau=recording.tau @ self.torque.T,
+            touched=(),
+            # The direction of friction is that of the speed.
+            columns={"coulomb": dry @ np.sign(position)},
+        )
+
+    @property
+    def columns(self) -> ColumnCorrection:
+        """The correction of a log's columns; zeros and gravity are none."""
+        return ColumnCorrection(*map(sources, (self.position, self.torque)))
+
+
+def sources(matrix: Array) -> tuple[tuple[int, float], ...]:
+    """Return (index, factor) of the only number of each row of a matrix (n, n) that is not zero."""
+    indices = np.argmax(matrix != 0.0, axis=1)
+    return tuple(zip(indices.tolist(), np.sum(matrix, axis=1).tolist()))
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A row of the table: its name, in words, and how the log is read without it.
+
+    The words of a zero and of a direction of gravity follow from all that is found together: such a
+    row has none.
+    """
+
+    name: FaultName
+    text: str
+    reading: Reading
+    remedy: str = _RIGHT_COLUMNS
+    options: tuple[tuple[str, ...], ...] = ()
+
+
+def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield every mistake that is tried.
+
+    ``moving`` are the numbers of the joints that move: columns of a joint that stands still say
+    nothing of whose they are.
+    """
+    for each in _QUANTITIES:
+        yield from signs(robot, moving, each)
+        yield from orders(robot, moving, each)
+    yield from angle_units(robot, moving)
+    yield from zeros(robot, moving)
+    yield from mountings(robot)
+
+
+@dataclass(frozen=True)
+class _Quantities:
+    """Quantities whose columns a mistake changes: their names, as subject and verb, as scope."""
+
+    names: tuple[str, ...]
+    subject: str
+    scope: str
+
+
+_QUANTITIES = (
+    _Quantities(("torque",), "torque of {} has", " in the torques"),
+    _Quantities(("position",), "position of {} has", " in the positions"),
+    _Quantities(("position", "torque"), "position and torque of {} have", ""),
+)
+
+
+def mirror(across: Array) -> Array:
+    """Return the matrix (n, n) that mirrors columns: it turns one, or exchanges two."""
+    return np.asarray(
+        np.eye(len(across)) - 2.0 * np.outer(across, across) / (across @ across)
+    )
+
+
+def of_columns(
+    name: FaultName, text: str, matrix: Array, quantities: Sequence[str]
+) -> Mistake:
+    """Return a mistake that one matrix (n, n) puts right, of positions, torques or both."""
+    changed = dict.fromkeys(quantities, matrix)
+    return Mistake(name, text, replace(Reading.of(len(matrix)), **changed))
+
+
+def signs(
+    robot: RobotModel, moving: Sequence[int], of: _Quantities
+) -> Iterator[Mistake]:
+    """Yield turned signs of each joint's columns and of all."""
+    names = robot.joint_names
+    every = np.eye(len(names))
+    text = f"the {of.subject} the opposite sign of the model's"
+    for joint in moving:
+        own = text.format(f"joint {names[joint]}")
+        yield of_columns(FaultName.SIGN, own, mirror(every[joint]), of.names)
+    # With positions and torques of all turned, the arm is mirrored as a whole, and fits as well.
+    if len(names) > 1 and of.scope:
+        yield of_columns(FaultName.SIGN, text.format("every joint"), -every, of.names)
+
+
+def orders(
+    robot: RobotModel, moving: Sequence[int], of: _Quantities
+) -> Iterator[Mistake]:
+    """Yield exchanges of two joints' columns, and the reversed order of all."""
+    names = robot.joint_names
+    every = np.eye(len(names))
+    for one, two in combinations(moving, 2):
+        text = f"joints {names[one]} and {names[two]} are exchanged{of.scope}"
+        exchange = mirror(every[one] - every[two])
+        yield of_columns(FaultName.ORDER, text, exchange, of.names)
+    if len(names) > 2 and len(moving) == len(names):
+        text = f"the order of the joints is reversed{of.scope}"
+        yield of_columns(FaultName.ORDER, text, every[::-1], of.names)
+
+
+def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield degrees that were taken for radians, of all joints and of each, and the reverse."""
+    none = Reading.of(robot.n_joints)
+    radians = np.where(robot.is_slide, 1.0, _RADIANS_PER_DEGREE)
+    yield Mistake(
+        FaultName.ANGLE_UNIT,
+        "positions look like degrees",
+        replace(none, position=np.diag(radians)),
+        "pass {units=deg}",
+        (("--units", "deg"),),
+    )
+    yield Mistake(
+        FaultName.ANGLE_UNIT,
+        "positions look like radians that were taken for degrees",
+        replace(none, position=np.diag(1.0 / radians)),
+        "say rad where degrees are said: in {units}, the file of {columns}, a column's title or "
+        "the recorder",
+    )
+    for joint in moving:
+        if not robot.is_slide[joint]:
+            scale = np.ones(robot.n_joints)
+            scale[joint] = _RADIANS_PER_DEGREE
+            yield Mistake(
+                FaultName.ANGLE_UNIT,
+                f"the position of joint {robot.joint_names[joint]} looks like degrees",
+                replace(none, position=np.diag(scale)),
+            )
+
+
+def zeros(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield zeros of each joint that are turned by right angles."""
+    none = Reading.of(robot.n_joints)
+    for joint, angle in product(moving, _TURNS.tolist()):
+        if not robot.is_slide[joint]:
+            turned = angle * np.eye(robot.n_joints)[joint]
+            yield Mistake(FaultName.ZERO, "", replace(none, zeros=turned))
+
+
+def mountings(robot: RobotModel) -> Iterator[Mistake]:
+    """Yield directions of gravity along axes and diagonals; none where there is no gravity."""
+    none = Reading.of(robot.n_joints)
+    size = np.linalg.norm(gravity_vector(robot))
+    for axis in product((-1.0, 0.0, 1.0), repeat=3):
+        if size * any(axis):
+            gravity = size * np.array(axis) / np.linalg.norm(axis)
+            yield Mistake(FaultName.TILT, "", replace(none, gravity=gravity))

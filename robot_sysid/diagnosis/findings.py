@@ -1,0 +1,161 @@
+"""What is wrong with a log or its model: everything that is asked of it, in order.
+
+The fit of a log is judged as it stands. Where it does not fit, mistakes of its columns and torque
+scales are tried first; then faults of the table are offered to the fit of the log as it came, and
+of the likeliest correction of it. A fault is named when it explains (``scores``); otherwise the log
+does not fit: how much is unexplained, at which joints, and what is missing there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+
+from robot_sysid.diagnosis import Finding
+from robot_sysid.diagnosis.column_search import Correction, Evidence, column_correction
+from robot_sysid.diagnosis.misfits import (
+    friction_findings,
+    misfit,
+    model_findings,
+    time_findings,
+    weight_findings,
+)
+from robot_sysid.diagnosis.plausibility import (
+    drives,
+    fits,
+    is_foreign,
+    is_of_single_joints,
+    is_plausible,
+    is_sibling,
+)
+from robot_sysid.diagnosis.scales import odd_unit, scale_corrections
+from robot_sysid.diagnosis.scores import Score
+from robot_sysid.diagnosis.search import Search, name_faults, search_faults
+from robot_sysid.estimate.contacts import LITTLE
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.levels import CLEAR
+from robot_sysid.records.messages import Level
+
+LIKE_GRAVITY = (
+    FaultName.FORCE,
+    FaultName.GRAVITY,
+    FaultName.TILT,
+    FaultName.PAYLOAD_STEP,
+)
+"""Faults that may stand for gravity in another direction."""
+OF_COLUMNS = (
+    FaultName.SIGN,
+    FaultName.ORDER,
+    FaultName.ANGLE_UNIT,
+    FaultName.ZERO,
+    FaultName.TILT,
+)
+"""Mistakes of columns."""
+UNMEASURED = (FaultName.COMPUTED, FaultName.TORQUE_UNIT)
+"""What is no torque of this arm, or in no known unit, shows nothing else."""
+OF_LINKS = (
+    FaultName.TORQUE_SCALE,
+    FaultName.TORQUE_UNIT,
+    FaultName.MODEL,
+    FaultName.TILT,
+    FaultName.GRAVITY,
+    FaultName.FORCE,
+    FaultName.ORDER,
+    FaultName.ZERO,
+)
+"""Faults that an experiment on single joints says nothing of."""
+CLEARLY_LESS = 0.7
+"""What a correction leaves unexplained, over what is without it, below which it leaves less."""
+MOST_NAMED = 3
+"""Faults that are named: of more that act together, the others are small."""
+
+
+def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
+    """Return what is wrong with a log or its model, and the fit of the log that is right then.
+
+    Nothing is wrong where the log fits its model.
+
+    Args:
+        fitted: the fit of the log, with the columns of ``fault_columns``.
+        evidence: what is known beside its rows.
+    """
+    found = [*friction_findings(fitted), *time_findings(fitted, evidence)]
+    if found:
+        return found[:1], fitted
+    is_experiment = is_of_single_joints(fitted)
+    search = search_faults(Correction((), 0.0, fitted), evidence)
+    # Links that may be off hide much of a direction that was stated the wrong way round.
+    is_fitting = (
+        fits(fitted)
+        and not any(map(is_like_gravity, search.winners))
+        and fitted.arm.robot.gravity is None
+    )
+    # An arm that is compared with its model has played the motion: its columns are those of its
+    # motors, and a sign or an order would pass for what has happened to it.
+    is_of_model = fitted.question.differing is not None
+    if not (is_experiment or is_fitting or is_of_model):
+        search = with_correction(search, evidence)
+    right = search.start.fit
+    named = [*search.start.findings]
+    is_corrected = any(each.about in OF_COLUMNS for each in named)
+    if not (is_experiment or is_corrected or is_fitting):
+        found += odd_unit(fitted)
+    if not (search.explains and named):
+        found += weight_findings(fitted)
+    if found:
+        return found[:1], fitted
+    if not search.explains:
+        return unexplained(fitted, search), right
+    named += name_faults(search.rounds[:MOST_NAMED])
+    unmeasured = [each for each in named if each.about in UNMEASURED]
+    if unmeasured:
+        return unmeasured, right
+    if is_experiment:
+        return [each for each in named if each.about not in OF_LINKS], right
+    if all(finding.level is Level.SAYS for finding in named):
+        named += model_findings(right, search, evidence)
+    return named, right
+
+
+def is_like_gravity(score: Score) -> bool:
+    """Return whether an explanation may stand for gravity in another direction."""
+    is_of_arm = score.explanation.effect.joint is None
+    is_harmful = score.level is not Level.SAYS
+    return is_of_arm and is_harmful and score.name in LIKE_GRAVITY
+
+
+def with_correction(search: Search, evidence: Evidence) -> Search:
+    """Return a search in a log, or the one in its likeliest correction if that explains more."""
+    fitted = search.start.fit
+    best = sorted(corrections(fitted, evidence), key=lambda each: -each.gain)
+    # Whatever explains torques in another unit, they are not right as they are.
+    is_unit = is_foreign(fitted)
+    searches = [*(search_faults(each, evidence) for each in best[:1]), search]
+    return max(searches, key=lambda each: (each.explains, is_unit or each.gain))
+
+
+def corrections(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+    """Yield corrections of a log that leave clearly less, in an arm that may exist."""
+    before = fitted.unexplained_share
+    makers = scale_corrections, column_correction
+    for tried in chain.from_iterable(make(fitted, evidence) for make in makers):
+        after = tried.fit.unexplained_share
+        is_less = after < CLEARLY_LESS * before or after < LITTLE < before
+        is_turned_back = drives(fitted) and not drives(tried.fit)
+        is_clear = tried.gain > CLEAR and (is_less or is_turned_back)
+        # Links fit torques in another unit, if they may be off by as much.
+        is_right = is_clear or is_foreign(fitted)
+        if is_right and is_plausible(tried.fit) and not is_sibling(tried.fit):
+            yield tried
+
+
+def unexplained(fitted: Fit, search: Search) -> list[Finding]:
+    """Return what is said of a log that nothing explains.
+
+    Friction that drives a joint is a turned sign whatever the model, and nothing else.
+    """
+    named = [*search.start.findings]
+    is_sign = {each.about for each in named} == {FaultName.SIGN}
+    is_shown = is_sign and drives(fitted) and not drives(search.start.fit)
+    return named if is_shown else [misfit(fitted, search.least)]

@@ -1,0 +1,360 @@
+"""The scale question: how many times the model's are the torques, of each joint and in common?
+
+Torques alone do not tell a factor on all of them from one on all masses. A unit is the name of a
+factor. Throughout, J is the number of joints with equations, n that of the chain's. A torque scale
+is the ratio of recorded to true torque.
+
+The scales are the terms of torque scales in the one fit, with a wide prior: a part that all joints
+have in common, and one of each joint. Torques are divided by what is found, and fitted again, until
+nothing changes (Gauss-Newton on the logarithm of the scales).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import compress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.diagnosis import Finding
+from robot_sysid.diagnosis.column_search import (
+    Correction,
+    Evidence,
+    gain_between,
+    part_of_rows,
+    refit,
+)
+from robot_sysid.diagnosis.columns import Reading
+from robot_sysid.diagnosis.plausibility import (
+    LARGER,
+    SMALLER,
+    dry_friction,
+    is_foreign,
+    model_torque,
+)
+from robot_sysid.diagnosis.scores import with_effects
+from robot_sysid.estimate.fit import Fit, LeftOut, Problem
+from robot_sysid.estimate.links import EXPECTED
+from robot_sysid.estimate.offers import Effect
+from robot_sysid.estimate.questions import arm_question
+from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
+from robot_sysid.model.units import mass_unit
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.messages import Level, torque_unit, with_error
+from robot_sysid.wording import option_name, with_option_names
+
+ODD = 1.3
+"""Factor on all masses, or its inverse, above which it is refused."""
+UNITS = {
+    1e3: "mN·m",
+    100.0: "N·cm",
+    10.197: "kgf·cm",
+    8.851: "lbf·in",
+    141.6: "ozf·in",
+    1e-3: "kN·m",
+}
+"""One newton metre in other units of torque, to the unit's name."""
+NEAR_UNIT = 1.25
+"""Factor between a scale and that of its unit which masses that are a little off make."""
+MOST_MASSES = 5.0
+"""Factor on all masses, or its inverse, above which no arm is."""
+ROWS = 1000
+"""Rows by which scales are found: links that are off by 10 to 20 % make most of their error."""
+ROUNDS = 8
+"""Most rounds: of currents in per cent, whose scales differ by a factor of ten, it takes seven."""
+FOUND = 0.02
+"""Relative change of a scale below which it has been found."""
+OWN_PRIOR = 0.7
+"""Prior of a joint's scale in a round, over the common one: by so much it may change in one."""
+COMMON_PRIOR = 3.0
+"""Prior of the common scale in a round: it may be any."""
+STEP = (0.2, 5.0)
+"""Least and largest factor by which a scale changes in one round."""
+SURE_SCALE = 0.4
+"""Relative error of a joint's scale above which it is not identified."""
+SPREAD = 0.4
+"""Standard deviation of the logarithm of a joint's scale over the common one: gains of motor
+currents of one arm differ by a factor of two."""
+COMMON = 1.35
+"""Ratio of the largest to the least scale of joints below which they have one common cause."""
+SENSOR = 1.6
+"""Scale, or its inverse, above which it is no sensor's."""
+OPPOSING = 0.5
+"""Torque of the links with the opposite sign, as a share of a joint's torque, from which on its
+sign is turned."""
+LEAST_OF_LINKS = 0.03
+"""Torque by the model's links, as a share of that of the most loaded joint, below which friction
+makes most of a joint's torque."""
+OTHER_UNIT = 10.0
+"""Torque and friction of one joint over those of the others that neither links nor gears make."""
+LEAST_BETTER = 0.7
+"""What a joint's other unit leaves unexplained, over what is without it, that says that it is."""
+WEIGHING = (
+    "give the torque per ampere with {torque_constants}, or determine it with a weight: bolt on "
+    "1 kg (of another mass, state it), record a motion called weight, and compare"
+)
+"""What to do where torques are motor currents; the command that compares follows the message."""
+
+
+@dataclass(frozen=True)
+class TorqueScales:
+    """How many times the model's the torques are.
+
+    Attributes:
+        values: (J,) scale of each joint; negative where the torque has the opposite sign.
+        covariance: (J, J) of their logarithms, by noise, links as wrong as usual, and blocks.
+        is_loaded: (J,) which joints links load.
+        coarse: by which positions that are coarse or seldom make all columns wrong, as a share.
+    """
+
+    values: Array
+    covariance: Array
+    is_loaded: NDArray[np.bool_]
+    coarse: float
+
+    @property
+    def errors(self) -> Array:
+        """Relative standard errors (J,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def are_sure(self) -> NDArray[np.bool_]:
+        """Which scales (J,) are identified."""
+        sure = self.errors < SURE_SCALE
+        # The torque of the last joint is that of the last link alone, which is not known.
+        sure[-1] &= self.is_loaded[-1]
+        return np.asarray(sure)
+
+    @property
+    def are_of_links(self) -> bool:
+        """Whether the torque of each joint that links load follows its links."""
+        return bool(np.any(self.is_loaded) and np.all(self.are_sure[self.is_loaded]))
+
+    @property
+    def differ(self) -> bool:
+        """Whether joints have scales of their own."""
+        known = np.log(np.abs(self.values[self.are_sure]))
+        return bool(np.ptp(known) >= np.log(COMMON))
+
+    @cached_property
+    def common(self) -> tuple[float, float]:
+        """(Scale of all joints, its relative error): (1, infinite) where none is identified."""
+        sure = self.are_sure
+        if not np.any(sure):
+            return 1.0, np.inf
+        weights = self.errors[sure] ** -2.0
+        weights = weights / np.sum(weights)
+        mean = float(weights @ np.log(np.abs(self.values[sure])))
+        variance = float(weights @ self.covariance[np.ix_(sure, sure)] @ weights)
+        return float(np.exp(mean)), float(np.hypot(np.sqrt(variance), self.coarse))
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether the common scale is clearly ``ODD``."""
+        factor, error = self.common
+        return abs(np.log(factor)) >= max(np.log(ODD), INTERVAL * error)
+
+    @property
+    def known_values(self) -> Array:
+        """Scales (J,): of joints whose own is not identified, the common one."""
+        own = np.where(self.are_sure, np.abs(self.values), self.common[0])
+        return np.asarray(np.sign(self.values) * own)
+
+
+def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
+    """Return how many times the model's the torques of a log are.
+
+    Links are off as those of arms usually are: with models that are right to 5 %, right arms would
+    be clearly off. Signs are found beside the scales in torques of another unit, in which a turned
+    one alone explains nothing.
+
+    Args:
+        fitted: the fit of the log.
+        effects: of faults that have joined it.
+    """
+    # Columns of faults take time, and only faults that have joined the fit need them.
+    named = [term for term in fitted.arm.terms.values() if term.cause]
+    arm = fitted.arm if effects else fitted.arm.of(named)
+    recordings, every = part_of_rows(fitted, ROWS)
+    correlation = np.maximum(fitted.correlation / every, 1.0)
+    question = replace(fitted.question, link_scales=EXPECTED)
+    start = arm.start()
+    sums = arm.sums(recordings, start)
+    count = len(arm.joints)
+    spread = OWN_PRIOR**2 * np.eye(count) + COMMON_PRIOR**2 * np.ones((count, count))
+    prior = Prior(np.zeros(count), np.asarray(np.linalg.cholesky(spread)))
+    torque, share, is_loaded = model_torque(fitted)
+    # Whatever the scales are, the ratio of torques is near them.
+    scale = fitted.sums.rms_torque / torque
+    scale[~is_loaded] = np.median(scale[is_loaded])
+    opposes = is_loaded & (share * torque < -OPPOSING * fitted.sums.rms_torque)
+    scale[opposes & is_foreign(fitted)] *= -1.0
+    for _ in range(ROUNDS):
+        scaled = sums.with_torque_times(1.0 / scale)
+        terms = [
+            replace(term, prior=prior) if term.cause == SCALES else term
+            for term in arm_question(arm, question, scaled.rms_torque)
+        ]
+        scaled, terms = with_effects(scaled, terms, effects)
+        problem = Problem(arm, recordings, start, scaled, question)
+        after = problem.fit(terms, correlation=correlation, possible=False)
+        at = after.at(arm.terms[SCALES].names)
+        change = np.clip(1.0 + after.free[at], *STEP)
+        scale = scale * change
+        if np.max(np.abs(np.log(change))) < FOUND:
+            break
+    after = replace(after, left_out=LeftOut.EACH)
+    relative = after.covariance[np.ix_(at, at)] / np.outer(change, change)
+    coarse = max(each.acceleration_error for each in fitted.recordings)
+    return TorqueScales(scale, relative, is_loaded, coarse)
+
+
+def scale_corrections(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+    """Yield the corrections of torques by one scale of all joints, and by one of each joint."""
+    scales = torque_scales(fitted)
+    if scales.is_odd:
+        yield common_correction(fitted, scales, evidence)
+    yield from own_corrections(fitted, scales, evidence)
+
+
+def common_correction(
+    fitted: Fit, scales: TorqueScales, evidence: Evidence
+) -> Correction:
+    """Return the correction of torques by one scale, which masses that are off make as well."""
+    factor, error = scales.common
+    factors = np.full(len(scales.values), 1.0 / factor)
+    after = refit(fitted, torque_reading(fitted.arm, factors))
+    finding = common_finding(fitted.arm.robot, factor, error, evidence)
+    return Correction((finding,), gain_between(fitted, after, factors), after)
+
+
+def own_corrections(
+    fitted: Fit, scales: TorqueScales, evidence: Evidence
+) -> Iterator[Correction]:
+    """Yield the correction of torques by scales of one per joint, where joints have such."""
+    if not (scales.are_of_links and scales.differ):
+        return
+    values = scales.known_values
+    after = refit(fitted, torque_reading(fitted.arm, 1.0 / values))
+    # Loss for scales that fit the data instead of being one: the prior's volume over that left.
+    penalty = np.sum(np.log(SPREAD / scales.errors[scales.are_sure]))
+    sure = np.flatnonzero(scales.are_sure)
+    finding = own_finding(fitted, values, sure, evidence)
+    gain = gain_between(fitted, after, 1.0 / np.abs(values)) - penalty
+    yield Correction((finding,), float(gain), after)
+
+
+def torque_scale(scales: Array) -> tuple[str, str]:
+    """Return the option that divides torques by scales (n,), one number where they are alike."""
+    texts = [f"{value:.4g}" for value in scales]
+    return "--torque-scale", ",".join(texts if len({*texts}) > 1 else texts[:1])
+
+
+def common_finding(
+    robot: RobotModel, factor: float, relative_error: float, evidence: Evidence
+) -> Finding:
+    """Return the finding on torques that are a factor times those of the model's masses.
+
+    Where there may be an arm with all masses so many times as large, the user decides.
+    """
+    number = with_error(factor, factor * relative_error)
+    text = f"the torques are {number} times those of the model's masses, at all joints alike"
+    unit = min(UNITS, key=lambda size: abs(np.log(factor / size)))
+    # Masses that are a little off stand between the factor and that of its unit.
+    is_close = abs(np.log(factor / unit)) < max(
+        np.log(NEAR_UNIT), INTERVAL * relative_error
+    )
+    unit_text = f" (as in {UNITS[unit]})" if is_close else ""
+    options: tuple[tuple[str, str], ...]
+    options = (torque_scale((unit if is_close else factor) * evidence.divided),)
+    name = FaultName.TORQUE_UNIT
+    command = ""
+    if mass_unit(robot, factor) != 1.0:
+        remedy = f"they are in another unit{unit_text}: divide them"
+    elif not is_close and abs(np.log(factor)) > np.log(MOST_MASSES):
+        text += ": they may be motor currents"
+        remedy = with_option_names(WEIGHING)
+        command = "payload"
+    else:
+        name = FaultName.TORQUE_SCALE
+        remedy = (
+            "torques cannot tell what is wrong by that much, the masses or the torques: if the "
+            f"torques are N·m, multiply the masses; if the model is right{unit_text}, divide the "
+            "torques"
+        )
+        options = (("--mass-scale", f"{factor * robot.mass_scale:.4g}"), *options)
+    # Where the user has to choose between masses and torques, two logs of one arm share it.
+    is_common = name is FaultName.TORQUE_SCALE
+    return Finding(
+        Level.REFUSES, name, text, remedy, options, command, is_common_factor=is_common
+    )
+
+
+def torque_reading(arm: ArmTerms, factors: Array) -> Reading:
+    """Return the reading in which torques (J,) are multiplied by factors."""
+    torque = np.ones(arm.robot.n_joints)
+    torque[arm.indices] = factors
+    return Reading.with_torque_times(torque)
+
+
+def own_finding(
+    fitted: Fit, scale: Array, sure: NDArray[np.int64], evidence: Evidence
+) -> Finding:
+    """Return the finding on torque scales (J,), of which those with indices ``sure`` are found.
+
+    A scale is negative where the torque has the opposite sign of the model's.
+    """
+    names = fitted.arm.joints
+    known = np.abs(scale[sure])
+    listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
+    is_sensor = np.max(np.abs(np.log(known))) <= np.log(SENSOR)
+    # No links, and no tool that an arm may carry, make all torques that small or large.
+    is_unit = np.all(known < SMALLER) or np.all(known > LARGER)
+    opposite = ", ".join(compress(names, scale < 0.0))
+    signs = f"of {opposite} with the opposite sign; " if opposite else ""
+    return Finding(
+        Level.DOUBTS if is_sensor else Level.REFUSES,
+        FaultName.TORQUE_UNIT if is_unit else FaultName.TORQUE_SCALE,
+        f"torque reads {np.median(known):.3g} times what the model takes ({listed}): {signs}a "
+        "factor of its own for every joint, as motor currents or per cent of rated torque have, or "
+        "all masses of the model are wrong",
+        with_option_names(WEIGHING),
+        (torque_scale(np.abs(scale) * evidence.divided),),
+        "payload",
+        torque_reading(fitted.arm, np.sign(scale)).columns if opposite else None,
+    )
+
+
+def odd_unit(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that one joint's torque has another unit than that of the other joints.
+
+    Dry friction counts beside the torque: links hardly load some joints, but no joint has so much
+    more friction than the others.
+    """
+    torque, *_ = model_torque(fitted)
+    if len(torque) < 3:
+        return
+    least = LEAST_OF_LINKS * np.max(torque)
+    ratio = fitted.sums.rms_torque / np.maximum(torque, least)
+    joint = int(np.argmax(ratio))
+    factor = ratio[joint] / max(np.median(np.delete(ratio, joint)), 1e-9)
+    dry, _ = dry_friction(fitted)
+    friction = dry / np.median(np.maximum(np.delete(dry, joint), 1e-9))
+    if min(factor, friction[joint]) > OTHER_UNIT:
+        scales = np.ones(fitted.arm.robot.n_joints)
+        scales[fitted.arm.indices[joint]] = 1e-3
+        after = refit(fitted, Reading.with_torque_times(scales)).unexplained_share
+        if after > LEAST_BETTER * fitted.unexplained_share:
+            return
+        name = fitted.arm.joints[joint]
+        unit = torque_unit(name in fitted.arm.robot.slides)
+        text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in "
+        text += f"m{unit}"
+        columns = option_name("columns", "FILE")
+        remedy = f"put it right with {columns}: torque.{name} = 0.001 * TITLE"
+        yield Finding(Level.REFUSES, FaultName.TORQUE_SCALE, text, remedy)
