@@ -29,7 +29,7 @@ from rigs import arms
 from rigs.core_fits import BASIC, NO_PRIORS, NOISE_ONLY
 from rigs.stepped_arm import stepped_log
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.results.record import FILE
+from robot_sysid.records.quantities import FILE
 
 STEP = 0.002
 SECONDS = 15.0

@@ -17,21 +17,21 @@ from robot_sysid import spatial
 from robot_sysid.records.controllers import CHOICES
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import Detail
-from robot_sysid.results.cards import number_groups
-from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import block_lines, more_lines, verdict_line
-from robot_sysid.results.quantities import BEYOND, MOMENT
-from robot_sysid.results.record import (
+from robot_sysid.records.quantities import (
+    BEYOND,
     BOUND,
     DATA,
     MODEL,
-    CurvedFile,
+    MOMENT,
     FrictionCurve,
-    NextMotion,
     Quantity,
-    Verdict,
 )
+from robot_sysid.results.cards import number_groups
+from robot_sysid.results.content import content_of
+from robot_sysid.results.lines import block_lines, more_lines, verdict_line
+from robot_sysid.results.record import CurvedFile, NextMotion
 from robot_sysid.results.table import beyond_line, cells, table_lines
+from robot_sysid.results.verdicts import Verdict
 
 FOLDER = ROOT / "tests" / "results" / "recorded"
 

@@ -9,7 +9,7 @@ import pytest
 from rigs import arms
 from rigs import results as made
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import DataOrigin
+from robot_sysid.records import DataOrigin, ModelErrors
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import json_text
 from robot_sysid.report.page import REPORT_NAME, write_report
@@ -17,7 +17,7 @@ from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import verdict_line
-from robot_sysid.results.record import ModelErrors, Verdict
+from robot_sysid.results.verdicts import Verdict
 
 ODD = "other <script>alert(1)</script> $x^{1}& 関節.csv"
 NAMED = {"link0": "link5", "link1": "link6", "joint0": "j5", "joint1": "j6"}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.estimate.result import beyond_model
+from robot_sysid.estimate.quantities import beyond_model
 from robot_sysid.records import (
     ITSELF,
     ArmLink,
@@ -20,28 +20,30 @@ from robot_sysid.records import (
     InertialParameters,
     JointFriction,
     Limits,
+    ModelErrors,
     RobotModel,
     SubtreeBody,
     Validation,
 )
 from robot_sysid.records.messages import Level, Remark, says
-from robot_sysid.results.quantities import body_quantities
-from robot_sysid.results.record import (
+from robot_sysid.records.quantities import (
     BOUND,
     FILE,
+    BodyEstimate,
+    Quantity,
+    body_quantities,
+)
+from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
-    BodyEstimate,
     Elsewhere,
     ErrorPart,
     Identification,
-    ModelErrors,
     ModelFile,
     MotionErrors,
     Payload,
-    Quantity,
-    Verdict,
 )
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.spatial import PARAMETER_NAMES, theta_from_com
 
 JOINTS = ("j5", "j6")

@@ -37,10 +37,15 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.records import Array, InertialParameters, RobotModel, Validation
+from robot_sysid.records import (
+    Array,
+    InertialParameters,
+    ModelErrors,
+    RobotModel,
+    Validation,
+)
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.parameters import keys_of
-from robot_sysid.results.record import CurvedFile, ModelErrors, ModelFile
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
@@ -96,31 +101,6 @@ def gravity_in(file: Fit) -> Array | None:
     if TILT_NAMES[0] not in file.names and not np.any(angles):
         return file.arm.robot.gravity
     return turn_gravity(file.point.gravity, angles)
-
-
-def model_file(
-    file: Fit, logs: Sequence[tuple[Sequence[FilteredRecording], str]] = ()
-) -> ModelFile:
-    """Return what is said of a fitted model file, and of that beside it whose friction bends.
-
-    Args:
-        file: its fit.
-        logs: further logs on which it is judged, low-passed, and their names.
-    """
-    straight = straight_of(file)
-    model = offsets_of_model(file)
-    curved = None
-    if straight is not file:
-        others = tuple(errors_on(file, *log) for log in logs)
-        curved = CurvedFile(**vars(errors_of(file, model)), others=others)
-    return ModelFile(
-        **vars(errors_of(straight, model)),
-        others=tuple(errors_on(straight, *log) for log in logs),
-        gravity=gravity_in(file),
-        kept=file.question.options.kept,
-        motors=file.arm.motors,
-        curved=curved,
-    )
 
 
 def bent_owners(file: Fit) -> Iterator[str]:

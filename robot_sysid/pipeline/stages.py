@@ -30,24 +30,20 @@ from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.next_steps import step_after
 from robot_sysid.pipeline.planning import draft_motor_file, draft_plan, write_plan
 from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
-from robot_sysid.records.data import FitQuality
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Detail, NextStep, Progress, percent, says
 from robot_sysid.records.option_fields import given_values
-from robot_sysid.results.quantities import (
+from robot_sysid.records.quantities import (
     BEYOND,
     MOMENT,
+    BodyEstimate,
+    Quantity,
     body_quantities,
     without_rounding,
 )
-from robot_sysid.results.record import (
-    LINK,
-    BodyEstimate,
-    Identification,
-    Quantity,
-    Verdict,
-)
+from robot_sysid.results.record import LINK, Identification
+from robot_sysid.results.verdicts import OF_SELF_TEST, SelfTestEvidence, judge
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import can_bend
 from robot_sysid.simulator import simulate_inverse
@@ -296,13 +292,13 @@ def run_self_test(
             rows.append(Quantity(*about, float(model), value, None))
     thetas = robot.thetas
     thetas[-1] = body.theta
-    verdict = self_test_verdict(body.mass, errors[0], quality)
+    verdicts = judge(OF_SELF_TEST, SelfTestEvidence(body.mass, errors[0], quality))
     return Identification(
         robot=robot,
         question=LINK,
         quality=quality,
         quantities=tuple(rows),
-        remarks=(verdict.remark(), *says(robot.notes)),
+        remarks=(*verdicts, *says(robot.notes)),
         total=body,
         thetas=thetas,
         torques=options.torques,
@@ -310,17 +306,3 @@ def run_self_test(
         friction_model="-".join(terms) or "none",
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
     )
-
-
-def self_test_verdict(mass: float, mass_error: float, quality: FitQuality) -> Verdict:
-    """Return the verdict on the identification of a model from its own simulation.
-
-    TOO_WEAK where the mass's standard error is above half the mass [kg], PARTLY_FROM_MODEL where
-    some parameters are not identifiable, else OK.
-    """
-    # A milligram is small enough whatever the mass is.
-    if max(1e-6, 0.5 * mass) < mass_error < np.inf:
-        return Verdict.TOO_WEAK
-    if quality.unidentifiable:
-        return Verdict.PARTLY_FROM_MODEL
-    return Verdict.OK

@@ -333,6 +333,23 @@ class Validation:
     blocks: Array = field(compare=False)
 
 
+@dataclass(frozen=True)
+class ModelErrors:
+    """Torque prediction errors of two models on the same data.
+
+    Attributes:
+        before: of the original model, each joint's sensor offset removed.
+        after: of the written model, likewise.
+        before_as_used: of the original model, offsets counted as errors: no file holds them.
+        after_as_used: of the written model, likewise.
+    """
+
+    before: Validation
+    after: Validation
+    before_as_used: Validation
+    after_as_used: Validation
+
+
 ITSELF = "simulation of the model itself"
 """Description of the data of a self-test."""
 

@@ -23,8 +23,8 @@ from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, InertialParameters, RobotModel
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS, makers_of
 from robot_sysid.records.messages import with_error
-from robot_sysid.results.quantities import load_errors, principal_moments
-from robot_sysid.results.record import BodyEstimate, Payload
+from robot_sysid.records.quantities import BodyEstimate, load_errors, principal_moments
+from robot_sysid.results.record import Payload
 
 # Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
 # each of ``controllers.SIMULATORS``.

@@ -25,7 +25,7 @@ from robot_sysid.records.file_access import (
 from robot_sysid.records.messages import Detail, NextStep, percent
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
-from robot_sysid.results.record import PAYLOAD, Verdict
+from robot_sysid.results.record import PAYLOAD
 from robot_sysid.results.table import (
     KNOWN,
     all_cells,
@@ -40,15 +40,8 @@ from robot_sysid.results.table import (
     rows_of,
     table_lines,
 )
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.spatial import PARAMETER_NAMES
-
-# Name of a verdict to the sentence on the result's use, where that is not "Usable".
-_USE_TEXTS = {
-    Verdict.TORQUES_ONLY.name: "Only for torques of motions like the log's, not for the numbers",
-    Verdict.AS_GOOD.name: "Usable, but the model was about as good before",
-    Verdict.PARTLY_FROM_MODEL.name: "{usable} (not identifiable, model's values kept: {unseen})",
-    Verdict.INERTIA_NOT_KNOWN.name: "Usable for mass and centre of mass (the inertia is not known)",
-}
 
 
 def result_lines(content: Content, links: bool) -> list[str]:
@@ -207,8 +200,7 @@ def verdict_line(content: Content) -> str:
     usable = "Usable"
     if elsewhere and elsewhere["for_like_motions"]:
         usable = "Usable for motions like this log"
-    use = _USE_TEXTS.get(content["status"], "{usable}")
-    use = use.format(usable=usable, unseen=unseen)
+    use = Verdict[content["status"]].use.format(usable=usable, unseen=unseen)
     return f"{use}: {'; '.join(_improvements(content))}"
 
 

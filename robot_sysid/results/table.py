@@ -11,9 +11,18 @@ from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
 from robot_sysid.records.parameters import DELAY, SCALE, TILTS, ZERO
+from robot_sysid.records.quantities import (
+    BEYOND,
+    BODY,
+    BOUND,
+    CENTRAL,
+    CURVED,
+    DATA,
+    FILE,
+    MODEL,
+)
 from robot_sysid.results.content import Content
-from robot_sysid.results.quantities import BEYOND, BODY, CENTRAL
-from robot_sysid.results.record import BOUND, CURVED, DATA, FILE, MODEL, PAYLOAD
+from robot_sysid.results.record import PAYLOAD
 
 # Name of a quantity to its label in a table.
 _LABELS = {

@@ -35,8 +35,9 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress
+from robot_sysid.records.quantities import DATA, MODEL, Quantity
 from robot_sysid.results.lines import card_lines, folder_text, use_lines
-from robot_sysid.results.record import DATA, MODEL, ModelTarget, Quantity
+from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.table import cells, label, table_lines
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo.fit import (

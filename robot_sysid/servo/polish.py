@@ -28,16 +28,16 @@ from robot_sysid.dynamics.friction import OFFSET, ROTOR
 from robot_sysid.estimate.fit import Fit, equations_of
 from robot_sysid.estimate.held_out import is_clearly_lower
 from robot_sysid.estimate.options import FILE_ROTORS
+from robot_sysid.estimate.quantities import quantity
 from robot_sysid.estimate.restricted_fit import errors_of, errors_on, gravity_in
-from robot_sysid.estimate.result import quantity
 from robot_sysid.estimate.rows import block_numbers
-from robot_sysid.estimate.trust import judge_file
 from robot_sysid.model.bodies import body_theta, write_body
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array, ModelErrors, RobotModel
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.records.messages import Level, percent
-from robot_sysid.results.record import Identification, ModelErrors, ModelTarget
+from robot_sysid.records.messages import percent
+from robot_sysid.results.reasons import worse_file
+from robot_sysid.results.record import Identification, ModelTarget
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.simulation.playback import Rollouts, interpolate
@@ -299,8 +299,7 @@ def polish(
     is_farther = any(map(is_clearly_lower, before.T, after.T))
     # Without a test of significance: the numbers of the torques are there already.
     is_worse = any(
-        judge_file(pair).level is Level.REFUSES
-        or np.sum(pair.before.blocks) < 0.9 * np.sum(pair.after.blocks)
+        worse_file(pair) or np.sum(pair.before.blocks) < 0.9 * np.sum(pair.after.blocks)
         for pair in pairs
     )
     if is_better and not is_farther and not is_worse:

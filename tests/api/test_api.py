@@ -17,9 +17,9 @@ from rigs import arms, pages, params, recorded, results
 from rigs.refusals import refused
 from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.records import Recording
+from robot_sysid.records import ModelErrors, Recording
 from robot_sysid.report.runs import load_run
-from robot_sysid.results.record import ModelErrors, Verdict
+from robot_sysid.results.verdicts import Verdict
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
         before, after = tests
         return ModelErrors(before, after, before, after)
 
-    monkeypatch.setattr("robot_sysid.estimate.restricted_fit.errors_on", errors_on)
+    monkeypatch.setattr("robot_sysid.results.identification.errors_on", errors_on)
     other = log[:1200]
     worse = rs.identify(model, workshop / "log.csv", validation_measurements=other)
     assert worse.verdict is Verdict.NO_BETTER

@@ -15,7 +15,8 @@ from robot_sysid.estimate.held_out import (
     predicted,
     validation,
 )
-from robot_sysid.estimate.trust import find_misfits
+from robot_sysid.estimate.trust import misfit_ratio, odd_joints
+from robot_sysid.records.levels import SURE
 
 BLOCKS = np.array([1.0, 2.0, 0.5, 1.0, 1.5])
 
@@ -143,4 +144,6 @@ def test_a_log_in_which_a_joint_stood_still_does_not_speak_against_the_next(
     np.testing.assert_array_equal(fitted.normal_without(of_second), alone)
     for test in held_out_logs(fitted):
         assert test.relative_error < 0.1
-    assert not [*find_misfits(fitted, [validation(fitted), *held_out_logs(fitted)])]
+    for test in (validation(fitted), *held_out_logs(fitted)):
+        assert misfit_ratio(fitted, test) <= SURE
+    assert not [*odd_joints(fitted)]

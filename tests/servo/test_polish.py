@@ -13,8 +13,8 @@ from robot_sysid import spatial
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.restricted_fit import fit_file
-from robot_sysid.estimate.result import link_result
 from robot_sysid.estimate.rows import block_numbers
+from robot_sysid.results.identification import link_result
 from robot_sysid.servo.polish import (
     OpenLoop,
     Polish,

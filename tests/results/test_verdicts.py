@@ -6,13 +6,26 @@ import numpy as np
 import pytest
 
 from rigs import arms
+from rigs import results as made
 from rigs.core_fits import fit_logs
 from robot_sysid import spatial
-from robot_sysid.estimate import trust
+from robot_sysid.estimate.payload import Contradiction
 from robot_sysid.model.bodies import link_reach
-from robot_sysid.records import Validation
+from robot_sysid.records import Flange, ModelErrors, Validation
 from robot_sysid.records.messages import Level
-from robot_sysid.results.record import BodyEstimate, ModelErrors, Quantity, Verdict
+from robot_sysid.records.quantities import BodyEstimate, Quantity
+from robot_sysid.results import reasons
+from robot_sysid.results.notes import wrong_links
+from robot_sysid.results.verdicts import (
+    OF_FILES,
+    OF_PAYLOAD,
+    OF_SELF_TEST,
+    PayloadEvidence,
+    SelfTestEvidence,
+    Verdict,
+    judge,
+    verdict_of,
+)
 
 SEVEN = arms.robot_of(arms.SEVEN)
 REACH = link_reach(SEVEN)
@@ -48,23 +61,30 @@ def prediction(relative_error, spread=SPREAD, **joints):
 
 
 def first(remarks):
-    """The verdict of the first remark, OK where there is none, and all sentences."""
+    """The verdict of some remarks, OK where there is none, and all sentences."""
     remarks = list(remarks)
-    verdict = Verdict[remarks[0].about] if remarks else OK
-    return verdict, tuple(remark.text for remark in remarks)
+    return verdict_of(remarks), tuple(remark.text for remark in remarks)
+
+
+def implausible(reasons_against):
+    """The remarks on a body that this arm cannot have."""
+    return map(IMPLAUSIBLE.remark, reasons_against)
 
 
 def judge_link(*args, **numbers):
-    return trust.implausible_link(SEVEN, body(*args, **numbers))
+    return implausible(reasons.impossible_link(SEVEN, body(*args, **numbers)))
 
 
-def judge_payload(misfit="", relative_error=0.03, **numbers):
+def judge_payload(contradiction=None, relative_error=0.03, known_mass=None, **numbers):
     test = prediction(relative_error)
-    return trust.judge_payload(SEVEN, body(**numbers), misfit, test)
+    flange = Flange("here", np.eye(3), np.zeros(3))
+    found = body(**numbers)
+    evidence = PayloadEvidence(SEVEN, found, contradiction, flange, test, known_mass)
+    return judge(OF_PAYLOAD, evidence)
 
 
-def judge_known_mass(mass_without, *findings):
-    return trust.judge_known_mass(findings, mass_without, 1.0)
+def judge_known_mass(mass_without, **numbers):
+    return judge_payload(known_mass=1.0, mass=mass_without, **numbers)
 
 
 def judge_joint(**terms):
@@ -73,7 +93,7 @@ def judge_joint(**terms):
     torque = dict(zip(SEVEN.joint_names, sizes))
     last = SEVEN.joint_names[-1]
     rows = [Quantity(term, last, "", None, size, 0.1) for term, size in terms.items()]
-    return trust.implausible_joints(SEVEN, rows, torque)
+    return implausible(reasons.impossible_joints(SEVEN, rows, torque))
 
 
 @pytest.mark.parametrize(
@@ -99,27 +119,27 @@ def judge_joint(**terms):
         (judge_payload(mass=0.042, error=0.02), OK, ""),
         (judge_payload(error=np.inf), NOT_SEEN, "(± not known)"),
         (judge_payload(distance=1.8), IMPLAUSIBLE, "1.8 m"),
-        (judge_payload("a differs from b"), Verdict.DISAGREE, "a differs from b"),
+        (
+            judge_payload(Contradiction("a", ("b",), body().theta, 0.03)),
+            Verdict.DISAGREE,
+            "a differs from b: it carries 1 kg at (0, 0, 100) mm",
+        ),
         (judge_payload(relative_error=0.6), Verdict.UNEXPLAINED, "60 %"),
         (judge_known_mass(0.8), OK, ""),
         (judge_known_mass(0.3), WRONG_WEIGHT, "0.3 kg"),
         (judge_known_mass(2.1), WRONG_WEIGHT, "2.1 kg"),
         # A finding that the known mass puts right is no reason to refuse it; another is.
-        (judge_known_mass(0.8, IMPLAUSIBLE.remark("far")), OK, ""),
-        (
-            judge_known_mass(-1.0, Verdict.SWAPPED.remark("less")),
-            Verdict.SWAPPED,
-            "less",
-        ),
+        (judge_known_mass(0.8, distance=1.8), OK, ""),
+        (judge_known_mass(-1.0), Verdict.SWAPPED, "comes out as -1"),
     ],
 )
 def test_each_implausible_estimate_is_refused_with_its_reason(
     findings, verdict, message
 ):
-    judgement, reasons = first(findings)
+    judgement, sentences = first(findings)
     assert judgement is verdict
-    assert judgement.is_trustworthy == (verdict is OK) == (not reasons)
-    assert message in " ".join(reasons)
+    assert judgement.is_trustworthy == (verdict is OK) == (not sentences)
+    assert message in " ".join(sentences)
 
 
 @pytest.mark.parametrize(
@@ -145,23 +165,24 @@ def test_each_implausible_estimate_is_refused_with_its_reason(
 )
 def test_a_file_is_compared_with_the_model_before(model, file, verdict):
     errors = ModelErrors(model, file, model, file)
-    assert trust.judge_file(errors).about == verdict.name
+    assert verdict_of(judge(OF_FILES, [errors])) is verdict
 
 
 def test_a_file_that_is_worse_as_it_is_used_is_refused_whatever_its_offsets_explain():
     """Weight that the fit took for an offset is missing in the file."""
     aside = prediction(0.24), prediction(0.09)
     used = prediction(0.28), prediction(0.37)
-    remark = trust.judge_file(ModelErrors(*aside, *used))
-    assert remark.about == Verdict.NO_BETTER.name
+    (remark,) = judge(OF_FILES, [ModelErrors(*aside, *used)])
+    assert remark.about is Verdict.NO_BETTER
     assert "28 % -> 37 %" in remark.text
-    better = trust.judge_file(ModelErrors(*aside, *used[::-1]))
-    assert better.about == Verdict.BETTER.name
+    (better,) = judge(OF_FILES, [ModelErrors(*aside, *used[::-1])])
+    assert better.about is Verdict.BETTER
 
 
 def judge_fit(fitted, *tests):
     """Return (verdict, reasons) of a fit and of its errors in other rows."""
-    return first(trust.find_misfits(fitted, tests))
+    misfits = reasons.torque_misfits(fitted, tests)
+    return first(map(Verdict.UNEXPLAINED.remark, misfits))
 
 
 @pytest.mark.parametrize(
@@ -174,9 +195,9 @@ def test_held_out_errors_may_be_three_times_the_noise(
     noise = noisy_fit.noise_per_joint
     errors = {joint: factor * size for joint, size in noise.items()}
     test = replace(prediction(relative_error), rmse_per_joint=errors)
-    verdict, reasons = judge_fit(noisy_fit, test)
+    verdict, sentences = judge_fit(noisy_fit, test)
     assert verdict is (OK if is_ok else Verdict.UNEXPLAINED)
-    assert is_ok or "of parts are predicted 3.5 times worse" in reasons[0]
+    assert is_ok or "of parts are predicted 3.5 times worse" in sentences[0]
     unknown = replace(test, is_informative=False)
     assert judge_fit(noisy_fit, unknown) == (OK, ())
 
@@ -192,9 +213,9 @@ def test_a_joint_with_unexplained_torque_is_named_unless_it_is_white_noise(
         tau[:, 2] += size * white[: len(tau)]
     else:
         tau[:, 2] = tau[::-1, 0]
-    verdict, reasons = judge_fit(fit_logs(robot, replace(noisy, tau=tau)))
+    verdict, sentences = judge_fit(fit_logs(robot, replace(noisy, tau=tau)))
     assert verdict is (OK if is_noise else Verdict.UNEXPLAINED)
-    assert is_noise or "of the torque of joint2 is unexplained" in reasons[0]
+    assert is_noise or "of the torque of joint2 is unexplained" in sentences[0]
 
 
 @pytest.mark.parametrize(
@@ -218,8 +239,29 @@ def test_slow_errors_no_larger_than_other_sensors_are_no_misfit(
 def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is_named):
     """By 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
     link = replace(body(distance, error), prior=body())
-    named = list(trust.wrong_links([link], ""))
+    named = list(wrong_links([link], made.model_file()))
     assert len(named) == is_named
     for remark in named:
         assert (remark.level, remark.about) == (Level.DOUBTS, link.name)
         assert "0.150 ± 0.010 kg·m, in the model 0.1," in remark.text
+
+
+@pytest.mark.parametrize(
+    ("scale", "error", "rank", "expected"),
+    [
+        (1.0, 0.49, 12, Verdict.OK),
+        (1.0, 0.51, 12, Verdict.TOO_WEAK),
+        (1.0, 0.51, 11, Verdict.TOO_WEAK),
+        (1.0, 0.49, 11, Verdict.PARTLY_FROM_MODEL),
+        (1.0, np.inf, 11, Verdict.PARTLY_FROM_MODEL),
+        # An error that a scale would not show is never too large.
+        (1e-9, 0.9e-6, 12, Verdict.OK),
+        (1e-9, 1.1e-6, 12, Verdict.TOO_WEAK),
+    ],
+)
+def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
+    scale, error, rank, expected
+):
+    quality = replace(made.QUALITY, unidentifiable=("mass",) * (12 - rank))
+    evidence = SelfTestEvidence(scale, error, quality)
+    assert verdict_of(judge(OF_SELF_TEST, evidence)) is expected
