@@ -152,6 +152,8 @@ _MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 BODY = (*_CENTRAL, *INERTIAL[1:])
 """What a body's rows are: mass, centre of mass, inertia about it; then what torques are linear in,
 first moments and inertia about the origin of the body's frame."""
+WRITTEN = 1e-9
+"""Relative rounding error of numbers in a written model."""
 PRIOR_SHARE = 0.5
 """Share of a value that comes from the data below which the model's prior dominates."""
 BEYOND = "beyond the model"
@@ -243,8 +245,7 @@ def without_rounding(values: Array, scale: Array | float) -> Array:
         values: numbers of any shape.
         scale: size of a large value, in the unit of the values and of a shape that fits theirs.
     """
-    # Models are written to 1e-9.
-    return np.where(np.abs(values) < 1e-9 * scale, 0.0, values)
+    return np.where(np.abs(values) < WRITTEN * scale, 0.0, values)
 
 
 def _numbers(body: InertialParameters) -> list[float]:

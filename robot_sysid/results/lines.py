@@ -43,6 +43,10 @@ from robot_sysid.results.table import (
 from robot_sysid.results.verdicts import Verdict
 from robot_sysid.spatial import PARAMETER_NAMES
 
+SMALL = 0.01
+"""Size below which all numbers of a line have two digits of the largest in place of three decimals.
+"""
+
 
 def result_lines(content: Content, links: bool) -> list[str]:
     """Return the lines of a result without those of files and without --verbose."""
@@ -114,7 +118,7 @@ def _quality_lines(content: Content) -> list[str]:
 def _decimals_text(values: Sequence[float]) -> str:
     """Return numbers with three decimals; if all are below 0.01, with two digits of the largest."""
     largest = np.max(np.abs(values))
-    is_small = 0.0 < largest < 0.01
+    is_small = 0.0 < largest < SMALL
     decimals = 1 - math.floor(math.log10(largest)) if is_small else 3
     return ", ".join(f"{value:.{decimals}f}" for value in values)
 

@@ -20,6 +20,7 @@ from robot_sysid.records.quantities import (
     DATA,
     FILE,
     MODEL,
+    WRITTEN,
 )
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD
@@ -133,8 +134,7 @@ def _difference(row: Content) -> str:
     if before is None:
         return ""
     difference = after - before
-    # Models are written to 1e-9.
-    if abs(difference) <= 1e-9 * abs(before):
+    if abs(difference) <= WRITTEN * abs(before):
         return "none"
     if error is not None and abs(difference) <= error:
         return _WITHIN
