@@ -9,7 +9,7 @@ import pytest
 from rigs import arms
 from rigs import results as made
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import DataOrigin, ModelErrors
+from robot_sysid.records import DataOrigin
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import json_text
 from robot_sysid.report.page import REPORT_NAME, write_report
@@ -41,9 +41,14 @@ def on_arm(result, path):
 def link_result(path):
     """A result about every link of the arm in a file."""
     result = made.whole()
-    pair = vars(result.file.others[0]).values()
-    odd = (replace(validation, source=ODD) for validation in pair)
-    file = replace(result.file, others=(ModelErrors(*odd),))
+    (other,) = result.file.others
+    odd = (
+        replace(validation, source=ODD)
+        for pair in (other, other.as_used)
+        for validation in (pair.before, pair.after)
+    )
+    errors = (result.file.held_out, made.errors_from(*odd))
+    file = replace(result.file, errors=errors)
     return on_arm(replace(result, file=file), path)
 
 

@@ -60,7 +60,7 @@ def held_out_logs(fitted: Fit) -> Iterator[Validation]:
             yield test
 
 
-def predicted(
+def prediction_error(
     fitted: Fit, recordings: Sequence[FilteredRecording], source: str
 ) -> Validation:
     """Return the error with which a fit predicts the torques of other recordings.

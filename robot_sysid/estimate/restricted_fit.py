@@ -39,6 +39,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.records import (
     Array,
+    Errors,
     InertialParameters,
     ModelErrors,
     RobotModel,
@@ -80,8 +81,7 @@ def errors_of(file: Fit, model: Fit | None = None) -> ModelErrors:
     return ModelErrors(
         validation(model),
         validation(file),
-        validation_as_used(model),
-        validation_as_used(file),
+        Errors(validation_as_used(model), validation_as_used(file)),
     )
 
 
@@ -220,17 +220,16 @@ def errors_on(
     """
     other = fitted.of(fitted.arm.sums(recordings, fitted.point))
     blocks = other.sums.blocks
-    errors: list[Validation] = []
-    errors_as_used: list[Validation] = []
+    pairs: list[tuple[Validation, Validation]] = []
     for values in ({}, fitted.by_name):
         solved = other.fit([other.arm.terms[OFFSET.name]], values)
-        for found, offsets in (
-            (errors, solved.values),
-            (errors_as_used, np.zeros_like(solved.values)),
-        ):
-            error = error_in(solved, offsets, solved.inverse, blocks, source)
-            found.append(error)
-    return ModelErrors(*errors, *errors_as_used)
+        error, as_used = (
+            error_in(solved, offsets, solved.inverse, blocks, source)
+            for offsets in (solved.values, np.zeros_like(solved.values))
+        )
+        pairs.append((error, as_used))
+    (before, before_as_used), (after, after_as_used) = pairs
+    return ModelErrors(before, after, Errors(before_as_used, after_as_used))
 
 
 def _known_offsets(fitted: Fit) -> Term:

@@ -17,7 +17,7 @@ from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.estimate.choose import answer_of, solved
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.held_out import predicted
+from robot_sysid.estimate.held_out import prediction_error
 from robot_sysid.estimate.payload import written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
@@ -147,7 +147,7 @@ def _result(
     for log in tests:
         pieces, _ = low_pass_recordings(robot, split_at_gaps(log), cutoff)
         others.append((pieces, log.name))
-    errors = [predicted(fitted, *other) for other in others]
+    errors = [prediction_error(fitted, *other) for other in others]
 
     def result_of(file: Fit, *sentences: str) -> Identification:
         """Return the result with a fit of the model file."""

@@ -49,7 +49,7 @@ def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
     return Figure(caption, svg(canvas, f"{name}-{joint}"))
 
 
-def most_changed(traces: Traces) -> int:
+def joint_of_largest_change(traces: Traces) -> int:
     """Return the index of the joint whose root mean square residual has changed most."""
     before = _rms(traces.measured - traces.prior_prediction)
     return int(np.argmax(np.nan_to_num(np.abs(before - _rms(traces.residual)))))

@@ -30,7 +30,7 @@ from robot_sysid.report.drawing import Figure, drawing_style
 from robot_sysid.report.pictures import pictures
 from robot_sysid.report.runs import Run
 from robot_sysid.results.content import Content
-from robot_sysid.results.lines import named_first
+from robot_sysid.results.lines import file_to_use
 from robot_sysid.results.table import (
     CURVE_PARTS,
     body_rows,
@@ -119,7 +119,7 @@ def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str,
         "pictures": images,
         "no_pictures": no_pictures,
         "card": card.read_text("utf-8") if card.is_file() else "",
-        "elsewhere": file and named_first(file)["elsewhere"],
+        "elsewhere": file and file_to_use(file)["elsewhere"],
     }
 
 
@@ -185,7 +185,7 @@ def _figures_of(run: Run, progress: Progress) -> dict[str, list[Figure]]:
     traces = run.traces
     if traces is None:
         return {}
-    joint = figures.most_changed(traces)
+    joint = figures.joint_of_largest_change(traces)
     first = figures.torque_figure(traces, joint, "first")
     drawn = {"first": [first], "torques": [], "friction": []}
     for joint in range(len(traces.joints)):

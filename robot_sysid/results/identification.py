@@ -6,7 +6,7 @@ Shapes: n joints of the chain.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -46,7 +46,7 @@ from robot_sysid.results.notes import (
     result_notes,
     wrong_links,
 )
-from robot_sysid.results.record import LINK, CurvedFile, Identification, ModelFile
+from robot_sysid.results.record import LINK, Identification, ModelFile
 from robot_sysid.results.traces import traces_of
 from robot_sysid.results.verdicts import OF_ARM, ArmEvidence, judge
 from robot_sysid.results.verification import CHECKPOINTS
@@ -89,7 +89,7 @@ def link_result(
         tests=tests,
         link=last_link,
         rows=rows,
-        files=files,
+        files=[each.held_out for each in files],
         others=[errors for each in files for errors in each.others],
         missed=missed,
     )
@@ -176,23 +176,24 @@ def model_file(
         file: its fit.
         logs: further logs on which it is judged, low-passed, and their names.
     """
-    straight = straight_of(file)
     model = offsets_of_model(file)
-    curved = None
-    if straight is not file:
-        others = tuple(errors_on(file, *log) for log in logs)
-        curved = CurvedFile(**vars(errors_of(file, model)), others=others)
-    return ModelFile(
-        **vars(errors_of(straight, model)),
-        others=tuple(errors_on(straight, *log) for log in logs),
-        gravity=gravity_in(file),
-        kept=file.question.options.kept,
-        motors=file.arm.motors,
-        curved=curved,
-    )
+
+    def written(fit: Fit) -> ModelFile:
+        """Return what is said of the file of a fit."""
+        return ModelFile(
+            errors=(errors_of(fit, model), *(errors_on(fit, *log) for log in logs)),
+            gravity=gravity_in(file),
+            kept=file.question.options.kept,
+            motors=file.arm.motors,
+        )
+
+    straight = straight_of(file)
+    if straight is file:
+        return written(file)
+    return replace(written(straight), curved=written(file))
 
 
-def judged_files(file: ModelFile, model_bends: bool) -> list[ModelFile | CurvedFile]:
+def judged_files(file: ModelFile, model_bends: bool) -> list[ModelFile]:
     """Return the written files by which a result is judged, that whose friction bends first.
 
     A straight line is no better than the curve of a model that bends already: the other file is

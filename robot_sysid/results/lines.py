@@ -200,7 +200,7 @@ def verdict_line(content: Content) -> str:
         )
         return use + (f" (not identifiable: {unseen})" if unseen else "")
     file = content["file"]
-    elsewhere = file and named_first(file)["elsewhere"]
+    elsewhere = file and file_to_use(file)["elsewhere"]
     usable = "Usable"
     if elsewhere and elsewhere["for_like_motions"]:
         usable = "Usable for motions like this log"
@@ -208,7 +208,7 @@ def verdict_line(content: Content) -> str:
     return f"{use}: {'; '.join(_improvements(content))}"
 
 
-def named_first(file: Content) -> Content:
+def file_to_use(file: Content) -> Content:
     """Return what is said of the file that is named first: that with curves, if it is written."""
     curved: Content | None = file["curved"]
     return curved if curved and curved["name"] else file
@@ -255,7 +255,7 @@ def _improvements(content: Content) -> Iterator[str]:
     if file:
         # A payload is part of both models: the change is that of links and friction.
         load = " with the payload" if payload else ""
-        first = named_first(file)
+        first = file_to_use(file)
         text = f"torque error{load} {before_after_text(first, '_as_used')} here"
         used, aside = (
             percent(first[after]["relative_error"] or 0.0)

@@ -30,7 +30,7 @@ from robot_sysid.records.messages import Detail, Level, Remark
 from robot_sysid.records.quantities import body_quantities
 from robot_sysid.results.identification import judged_files, model_file, result_of
 from robot_sysid.results.notes import unknown_inertia
-from robot_sysid.results.reasons import missed_terms, worse_files
+from robot_sysid.results.reasons import file_faults, missed_terms
 from robot_sysid.results.record import PAYLOAD, Identification, Payload
 from robot_sysid.results.traces import traces_of
 from robot_sysid.results.verdicts import (
@@ -68,7 +68,8 @@ def payload_result(
     file_notes: list[str] = []
     if file is not None:
         written = model_file(file)
-        against = [*worse_files(judged_files(written, fitted.arm.model_bends))]
+        files = judged_files(written, fitted.arm.model_bends)
+        against = [*file_faults(each.held_out for each in files)]
         if against:
             file = None
             written = None

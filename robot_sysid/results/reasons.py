@@ -179,7 +179,7 @@ def impossible_joints(
             yield f"{name} would have a rotor of {rotor:.3g} kg·m² or more"
 
 
-def worse_file(errors: ModelErrors, data: str = "held-out data") -> str:
+def file_fault(errors: ModelErrors, data: str = "held-out data") -> str:
     """Return why a written file is no better than the given model; "" where it is.
 
     What is clearly higher in paired blocks of time is worse, over all or at one joint, and so is an
@@ -200,7 +200,7 @@ def worse_file(errors: ModelErrors, data: str = "held-out data") -> str:
     after = np.sum(errors.after.blocks, axis=1)
     if new > WORST_FILE or (new > NEGLIGIBLE and is_clearly_lower(before, after)):
         return sentence
-    used = errors.before_as_used, errors.after_as_used
+    used = errors.as_used.before, errors.as_used.after
     shares = [each.relative_error or 0.0 for each in used]
     squares = [np.sum(each.blocks, axis=1) for each in used]
     if shares[1] > NEGLIGIBLE and is_clearly_lower(*squares):
@@ -215,18 +215,18 @@ def worse_file(errors: ModelErrors, data: str = "held-out data") -> str:
     return f"{sentence}, but worse at {', '.join(worse)}" if worse else ""
 
 
-def worse_files(files: Sequence[ModelErrors]) -> Iterator[str]:
+def file_faults(files: Iterable[ModelErrors]) -> Iterator[str]:
     """Yield why one of several files is no better than the given model, of the first that is so."""
-    yield from [*filter(None, map(worse_file, files))][:1]
+    yield from [*filter(None, map(file_fault, files))][:1]
 
 
-def worse_on_other_logs(others: Iterable[ModelErrors]) -> Iterator[str]:
+def faults_on_other_logs(others: Iterable[ModelErrors]) -> Iterator[str]:
     """Yield why a file is worse than the given model on other logs, of each such log.
 
     A file that is worse on another log is not trustworthy.
     """
     for errors in others:
-        reason = worse_file(errors, errors.before.source)
+        reason = file_fault(errors, errors.before.source)
         if reason:
             yield reason
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from robot_sysid import records
 from robot_sysid.dynamics.friction import ROTOR, Coupling
-from robot_sysid.records import Array, ModelErrors, Motion, Traces, Validation
+from robot_sysid.records import Array, Errors, ModelErrors, Motion, Traces, Validation
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
 from robot_sysid.records.messages import Level, Remark
 from robot_sysid.records.quantities import (
@@ -72,7 +72,7 @@ class NextMotion:
 
 
 @dataclass(frozen=True)
-class Elsewhere:
+class Elsewhere(Errors[MotionErrors]):
     """Torque errors to expect on motions that nobody recorded, all over the arm's range.
 
     They are root mean square over random motions, right within a factor of 1.5 in most cases.
@@ -81,8 +81,6 @@ class Elsewhere:
     Attributes:
         speed: highest speed of these motions.
         speed_unit: its unit.
-        before: of the original model.
-        after: of the written model.
         at_log_speeds: of the written model, on motions in which no joint is faster than in logs.
         log_speed: highest speed of these.
         faster: the joint that makes most of the error, if that comes from faster motions; else "".
@@ -95,8 +93,6 @@ class Elsewhere:
 
     speed: float
     speed_unit: str
-    before: MotionErrors
-    after: MotionErrors
     at_log_speeds: MotionErrors
     log_speed: float
     faster: str = ""
@@ -107,41 +103,62 @@ class Elsewhere:
 
 
 @dataclass(frozen=True)
-class CurvedFile(ModelErrors):
-    """What is said of the written model whose friction bends with speed.
+class ModelFile:
+    """What is said of a written model beside its numbers: its torque errors first of all.
 
-    Its numbers are the rows with the source ``CURVED``; all but friction is that of the other file.
-
-    Attributes:
-        others: errors on each of the other logs, held out as a whole.
-        elsewhere: errors to expect on other motions; None where nothing is promised.
-    """
-
-    others: tuple[ModelErrors, ...] = ()
-    elsewhere: Elsewhere | None = None
-
-
-@dataclass(frozen=True)
-class ModelFile(ModelErrors):
-    """What is said of a written model beside its numbers: its held-out error first of all.
-
-    Its numbers are the rows with the source ``FILE`` and the links ``Identification.thetas``.
+    Its numbers are the rows with the source ``FILE``, or ``CURVED`` where its friction bends with
+    speed, and the links ``Identification.thetas``.
 
     Attributes:
-        others: errors on each of the other logs, held out as a whole.
+        errors: on held-out data of the logs, then on each of the other logs as a whole.
         gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
         kept: names of what the file keeps ("friction", "gravity", "other links").
         motors: those that turn several joints; params.json has their numbers as rows.
-        curved: the file beside it whose friction bends with speed; None where no joint's does.
+        curved: the file beside it whose friction bends with speed and which has the same links,
+            gravity and motors; None where no joint's friction bends.
         elsewhere: errors to expect on other motions; None where nothing is promised.
     """
 
-    others: tuple[ModelErrors, ...] = ()
+    errors: tuple[ModelErrors, ...]
     gravity: Array | None = None
     kept: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = field(default=(), compare=False)
-    curved: CurvedFile | None = None
+    curved: ModelFile | None = None
     elsewhere: Elsewhere | None = None
+
+    @property
+    def held_out(self) -> ModelErrors:
+        """Errors on held-out data of the logs."""
+        return self.errors[0]
+
+    @property
+    def others(self) -> tuple[ModelErrors, ...]:
+        """Errors on each of the other logs."""
+        return self.errors[1:]
+
+    @property
+    def before(self) -> Validation:
+        """Held-out error of the original model, each joint's sensor offset removed."""
+        return self.held_out.before
+
+    @property
+    def after(self) -> Validation:
+        """Held-out error of the written model, likewise."""
+        return self.held_out.after
+
+    @property
+    def before_as_used(self) -> Validation:
+        """Held-out error of the original model, offsets counted as errors: no file holds them."""
+        return self.held_out.before_as_used
+
+    @property
+    def after_as_used(self) -> Validation:
+        """Held-out error of the written model, likewise."""
+        return self.held_out.after_as_used
+
+
+CurvedFile = ModelFile
+"""The file of ``ModelFile.curved``, by a name for annotations."""
 
 
 def needs_mjcf(rows: Iterable[Quantity], motors: Sequence[Coupling]) -> bool:

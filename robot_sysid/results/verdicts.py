@@ -214,11 +214,11 @@ def _if_true(condition: object) -> tuple[str, ...]:
 
 def _is_no_worse(files: Sequence[ModelErrors]) -> bool:
     """Return whether no file is worse than the given model."""
-    return not any(reasons.worse_files(files))
+    return not any(reasons.file_faults(files))
 
 
 OF_FILES: tuple[Rule[Sequence[ModelErrors]], ...] = (
-    Rule(Verdict.NO_BETTER, reasons.worse_files),
+    Rule(Verdict.NO_BETTER, reasons.file_faults),
     Rule(
         Verdict.BETTER,
         lambda files: _if_true(_is_no_worse(files) and reasons.is_better(files[0])),
@@ -291,7 +291,7 @@ OF_ARM: tuple[Rule[ArmEvidence], ...] = (
     # A file that clearly predicts better is written all the same, for torques only.
     Rule(Verdict.TORQUES_ONLY, lambda e: e.doubts() if e.has_better_file else ()),
     Rule(Verdict.UNEXPLAINED, lambda e: () if e.has_better_file else e.doubts()),
-    Rule(Verdict.NO_BETTER, lambda e: reasons.worse_on_other_logs(e.others)),
+    Rule(Verdict.NO_BETTER, lambda e: reasons.faults_on_other_logs(e.others)),
 )
 """Rules on an arm that was identified from recordings."""
 

@@ -33,10 +33,10 @@ from robot_sysid.estimate.restricted_fit import errors_of, errors_on, gravity_in
 from robot_sysid.estimate.rows import block_numbers
 from robot_sysid.model.bodies import body_theta, write_body
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, ModelErrors, RobotModel
+from robot_sysid.records import Array, Errors, ModelErrors, RobotModel
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import percent
-from robot_sysid.results.reasons import worse_file
+from robot_sysid.results.reasons import file_fault
 from robot_sysid.results.record import Identification, ModelTarget
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.process import FilteredRecording
@@ -282,7 +282,7 @@ def polish(
     for log in tests:
         errors += [errors_on(fit, *log) for fit in fits]
     pairs = [
-        ModelErrors(old.after, new.after, old.after_as_used, new.after_as_used)
+        ModelErrors(old.after, new.after, Errors(old.after_as_used, new.after_as_used))
         for old, new in zip(errors[::2], errors[1::2])
     ]
     count = before.shape[1] * len(blocks)
@@ -299,7 +299,7 @@ def polish(
     is_farther = any(map(is_clearly_lower, before.T, after.T))
     # Without a test of significance: the numbers of the torques are there already.
     is_worse = any(
-        worse_file(pair) or np.sum(pair.before.blocks) < 0.9 * np.sum(pair.after.blocks)
+        file_fault(pair) or np.sum(pair.before.blocks) < 0.9 * np.sum(pair.after.blocks)
         for pair in pairs
     )
     if is_better and not is_farther and not is_worse:

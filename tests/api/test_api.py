@@ -17,7 +17,7 @@ from rigs import arms, pages, params, recorded, results
 from rigs.refusals import refused
 from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.records import ModelErrors, Recording
+from robot_sysid.records import Recording
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.verdicts import Verdict
 
@@ -142,7 +142,7 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     def errors_on(fitted, recordings, source):
         tests = (results.validation_of(e, source, relative=e) for e in (0.13, 0.21))
         before, after = tests
-        return ModelErrors(before, after, before, after)
+        return results.errors_from(before, after, before, after)
 
     monkeypatch.setattr("robot_sysid.results.identification.errors_on", errors_on)
     other = log[:1200]

@@ -11,7 +11,7 @@ from rigs.core_fits import fit_logs
 from robot_sysid import spatial
 from robot_sysid.estimate.payload import Contradiction
 from robot_sysid.model.bodies import link_reach
-from robot_sysid.records import Flange, ModelErrors, Validation
+from robot_sysid.records import Flange, Validation
 from robot_sysid.records.messages import Level
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results import reasons
@@ -164,7 +164,7 @@ def test_each_implausible_estimate_is_refused_with_its_reason(
     ],
 )
 def test_a_file_is_compared_with_the_model_before(model, file, verdict):
-    errors = ModelErrors(model, file, model, file)
+    errors = made.errors_from(model, file, model, file)
     assert verdict_of(judge(OF_FILES, [errors])) is verdict
 
 
@@ -172,10 +172,10 @@ def test_a_file_that_is_worse_as_it_is_used_is_refused_whatever_its_offsets_expl
     """Weight that the fit took for an offset is missing in the file."""
     aside = prediction(0.24), prediction(0.09)
     used = prediction(0.28), prediction(0.37)
-    (remark,) = judge(OF_FILES, [ModelErrors(*aside, *used)])
+    (remark,) = judge(OF_FILES, [made.errors_from(*aside, *used)])
     assert remark.about is Verdict.NO_BETTER
     assert "28 % -> 37 %" in remark.text
-    (better,) = judge(OF_FILES, [ModelErrors(*aside, *used[::-1])])
+    (better,) = judge(OF_FILES, [made.errors_from(*aside, *used[::-1])])
     assert better.about is Verdict.BETTER
 
 
