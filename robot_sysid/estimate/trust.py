@@ -6,7 +6,7 @@ which links of the model it contradicts, and where a file is worse than the mode
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -60,15 +60,21 @@ class OddJoint(NamedTuple):
     median: float
 
 
-def odd_joints(fitted: Fit) -> Iterator[OddJoint]:
+def odd_joints(
+    noise: Mapping[str, float],
+    torque: Mapping[str, float],
+    independent: Mapping[str, float],
+) -> Iterator[OddJoint]:
     """Yield the joints of which far more torque is unexplained than of the others.
 
     A joint without torque has no ratio of noise to torque and is left out.
+
+    Args:
+        noise: joint to the standard deviation of its residual [N m].
+        torque: joint to the root mean square of its torque [N m].
+        independent: joint to the share of its samples that are independent.
     """
-    noise = fitted.noise_per_joint
-    torque = fitted.torque
     shares = {joint: noise[joint] / torque[joint] for joint in noise if torque[joint]}
-    independent = dict(zip(fitted.arm.joints, 1.0 / fitted.correlation))
     for joint, share in shares.items():
         others = shares.keys() - {joint}
         if not others or independent[joint] >= WHITE:

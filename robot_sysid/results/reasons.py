@@ -71,7 +71,8 @@ def torque_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[str]:
                 f"torques of {test.source} are predicted {ratio:.2g} times worse than the noise "
                 "of the fit allows"
             )
-    for odd in odd_joints(fitted):
+    independent = dict(zip(fitted.arm.joints, (1.0 / fitted.correlation).tolist()))
+    for odd in odd_joints(fitted.noise_per_joint, fitted.torque, independent):
         yield (
             f"{percent(odd.share)} of the torque of {odd.joint} is unexplained, of the other "
             f"joints' {percent(odd.median)}"

@@ -1,9 +1,12 @@
 """Each implausible estimate is refused with its reason; a wide error alone is no reason."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rigs import arms
 from rigs import results as made
@@ -12,11 +15,14 @@ from robot_sysid import spatial
 from robot_sysid.estimate.payload import Contradiction
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import Flange, Validation
+from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import Level
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results import reasons
 from robot_sysid.results.notes import wrong_links
 from robot_sysid.results.verdicts import (
+    MEANINGS,
+    OF_ARM,
     OF_FILES,
     OF_PAYLOAD,
     OF_SELF_TEST,
@@ -219,20 +225,6 @@ def test_a_joint_with_unexplained_torque_is_named_unless_it_is_white_noise(
 
 
 @pytest.mark.parametrize(
-    ("share", "others", "is_ok"),
-    [(0.5, 0.1, False), (0.5, 1.5, True), (1.1, 1.5, False)],
-)
-def test_slow_errors_no_larger_than_other_sensors_are_no_misfit(
-    noisy_fit, share, others, is_ok
-):
-    """Of the last joint, as shares of its torque; more than its torque is no sensor's error."""
-    noise = np.array([others, others, share])
-    fitted = replace(noisy_fit, noise=noise, correlation=np.full(3, 10.0))
-    fitted.__dict__["torque"] = dict(zip(fitted.arm.joints, (1e3, 1e3, 1.0)))
-    assert (judge_fit(fitted)[0] is OK) == is_ok
-
-
-@pytest.mark.parametrize(
     ("distance", "error", "is_named"),
     [(0.1, 0.001, False), (0.15, 0.01, True), (0.15, 0.03, False)],
 )
@@ -265,3 +257,26 @@ def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
     quality = replace(made.QUALITY, unidentifiable=("mass",) * (12 - rank))
     evidence = SelfTestEvidence(scale, error, quality)
     assert verdict_of(judge(OF_SELF_TEST, evidence)) is expected
+
+
+def test_every_verdict_has_a_meaning_and_a_condition_that_leads_to_it():
+    rules = (*OF_ARM, *OF_PAYLOAD, *OF_SELF_TEST)
+    assert {rule.verdict for rule in rules} == {*Verdict} == MEANINGS.keys()
+
+
+@given(st.lists(st.sampled_from(Verdict), max_size=6))
+def test_a_result_is_as_bad_as_the_worst_that_holds_and_the_first_of_these_is_named(
+    verdicts,
+):
+    levels = [*Level]
+    verdict = verdict_of([each.remark("so") for each in verdicts])
+    worst = min((levels.index(each.level) for each in verdicts), default=2)
+    assert levels.index(verdict.level) == worst
+    assert verdict in (verdicts or [OK])
+    before = verdicts[: verdicts.index(verdict)] if verdicts else []
+    assert all(levels.index(each.level) > worst for each in before)
+
+
+def test_a_verdict_is_written_as_its_name():
+    assert strict_json(Verdict.NO_BETTER.remark("so"))["about"] == "NO_BETTER"
+    assert pickle.loads(pickle.dumps(Verdict.OK)) is Verdict.OK
