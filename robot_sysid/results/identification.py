@@ -5,10 +5,9 @@ Shapes: n joints of the chain.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from robot_sysid.estimate.restricted_fit import (
     straight_of,
 )
 from robot_sysid.estimate.trust import missed_friction
-from robot_sysid.records import DataOrigin, Validation
+from robot_sysid.records import DataOrigin, Motion, Traces, Validation
 from robot_sysid.records.messages import Remark, says
 from robot_sysid.records.quantities import (
     CURVED,
@@ -46,7 +45,7 @@ from robot_sysid.results.notes import (
     result_notes,
     wrong_links,
 )
-from robot_sysid.results.record import LINK, Identification, ModelFile
+from robot_sysid.results.record import LINK, PAYLOAD, Identification, ModelFile, Payload
 from robot_sysid.results.traces import traces_of
 from robot_sysid.results.verdicts import OF_ARM, ArmEvidence, judge
 from robot_sysid.results.verification import CHECKPOINTS
@@ -104,7 +103,6 @@ def link_result(
         rows,
         remarks,
         [*notes, *link_notes(fitted)],
-        question=LINK,
         data=origin,
         total=last_link,
         standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
@@ -122,7 +120,15 @@ def result_of(
     rows: Iterable[Quantity],
     remarks: Iterable[Remark],
     notes: Iterable[str],
-    **fields: Any,
+    *,
+    data: DataOrigin,
+    total: BodyEstimate,
+    standard_errors: Mapping[str, float],
+    file: ModelFile | None,
+    validation: tuple[Validation, ...],
+    checkpoints: Motion,
+    traces: Callable[[], Traces],
+    payload: Payload | None = None,
 ) -> Identification:
     """Return the result of recordings: its own rows, remarks and notes, then those of the file.
 
@@ -133,7 +139,14 @@ def result_of(
         rows: identified numbers.
         remarks: reasons against the result, or for it.
         notes: sentences for the user so far.
-        fields: further fields of the result, by name.
+        data: see ``Identification``; so for the other fields.
+        total: the terminal link with all that moves with it.
+        standard_errors: of parameters, by name.
+        file: what is said of the model file; None where ``file_fit`` is.
+        validation: errors in predicting torques.
+        checkpoints: motion on which a written model is compared.
+        traces: computes what a report draws.
+        payload: None of an arm.
     """
     robot = fitted.arm.robot
     thetas = robot.thetas
@@ -148,22 +161,31 @@ def result_of(
         if straight is not file_fit:
             file_rows += file_quantities(fitted, file_fit, CURVED)
             curves += friction_curves(fitted, file_fit)
-            sentences += curve_notes(fields["file"], curves)
+            assert file is not None
+            sentences += curve_notes(file, curves)
     sentences += result_notes(fitted, file_fit)
     return Identification(
+        question=LINK if payload is None else PAYLOAD,
         robot=robot,
         quality=quality_of(fitted),
+        data=data,
         torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
         thetas=thetas,
         quantities=(*rows, *file_rows),
         remarks=(*remarks, *says(sentences)),
+        total=total,
+        standard_errors=standard_errors,
+        file=file,
+        payload=payload,
+        validation=validation,
+        checkpoints=checkpoints,
+        traces=traces,
         links={link.name: link for link in links},
         curves=tuple(curves),
         tops={owner: fitted.arm.top_of(owner) for owner in fitted.arm.owners},
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=fitted.recordings[0].cutoff,
         link_scales=asdict(fitted.question.link_scales),
-        **fields,
     )
 
 

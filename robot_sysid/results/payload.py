@@ -31,7 +31,7 @@ from robot_sysid.records.quantities import body_quantities
 from robot_sysid.results.identification import judged_files, model_file, result_of
 from robot_sysid.results.notes import unknown_inertia
 from robot_sysid.results.reasons import file_faults, missed_terms
-from robot_sysid.results.record import PAYLOAD, Identification, Payload
+from robot_sysid.results.record import Identification, Payload
 from robot_sysid.results.traces import traces_of
 from robot_sysid.results.verdicts import (
     AGAINST_PAYLOAD,
@@ -114,7 +114,6 @@ def payload_result(
         rows,
         remarks,
         [*notes, *file_notes],
-        question=PAYLOAD,
         data=origin,
         standard_errors=dict(zip(PARAMETER_NAMES, body.errors.tolist())),
         payload=Payload(
