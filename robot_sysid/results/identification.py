@@ -46,8 +46,9 @@ from robot_sysid.results.notes import (
     wrong_links,
 )
 from robot_sysid.results.record import LINK, PAYLOAD, Identification, ModelFile, Payload
+from robot_sysid.results.rules import OF_ARM, ArmEvidence
 from robot_sysid.results.traces import traces_of
-from robot_sysid.results.verdicts import OF_ARM, ArmEvidence, judge
+from robot_sysid.results.verdicts import judge
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.process import FilteredRecording
 

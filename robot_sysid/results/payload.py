@@ -32,13 +32,9 @@ from robot_sysid.results.identification import judged_files, model_file, result_
 from robot_sysid.results.notes import unknown_inertia
 from robot_sysid.results.reasons import file_faults, missed_terms
 from robot_sysid.results.record import Identification, Payload
+from robot_sysid.results.rules import AGAINST_PAYLOAD, OF_PAYLOAD, PayloadEvidence
 from robot_sysid.results.traces import traces_of
-from robot_sysid.results.verdicts import (
-    AGAINST_PAYLOAD,
-    OF_PAYLOAD,
-    PayloadEvidence,
-    judge,
-)
+from robot_sysid.results.verdicts import judge
 from robot_sysid.spatial import PARAMETER_NAMES
 
 

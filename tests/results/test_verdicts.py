@@ -20,18 +20,9 @@ from robot_sysid.records.messages import Level
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results import reasons
 from robot_sysid.results.notes import wrong_links
-from robot_sysid.results.verdicts import (
-    MEANINGS,
-    OF_ARM,
-    OF_FILES,
-    OF_PAYLOAD,
-    OF_SELF_TEST,
-    PayloadEvidence,
-    SelfTestEvidence,
-    Verdict,
-    judge,
-    verdict_of,
-)
+from robot_sysid.results.rules import OF_ARM, OF_FILES, OF_PAYLOAD, PayloadEvidence
+from robot_sysid.results.self_test import OF_SELF_TEST, SelfTestEvidence
+from robot_sysid.results.verdicts import MEANINGS, Verdict, judge, verdict_of
 
 SEVEN = arms.robot_of(arms.SEVEN)
 REACH = link_reach(SEVEN)
