@@ -10,8 +10,8 @@ from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
-from robot_sysid.estimate.result import link_result
 from robot_sysid.records import Recording, RobotModel
+from robot_sysid.results.identification import link_result
 from robot_sysid.results.record import Identification
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.signals.resampling import split_at_gaps

@@ -26,11 +26,12 @@ from rigs.wrong_arms import ARMS
 from robot_sysid import spatial
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions, Priors
-from robot_sysid.estimate.payload import payload_result, written_payload
+from robot_sysid.estimate.payload import written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
+from robot_sysid.results.payload import payload_result
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.trajectory import generate_excitation_trajectory
 

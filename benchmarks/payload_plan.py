@@ -24,7 +24,7 @@ from rigs.walk import RATE, TrueArm
 from robot_sysid.motion import AimOptions
 from robot_sysid.motion.expected_errors import predict, typical_load
 from robot_sysid.parser import load_robot_model
-from robot_sysid.results.quantities import load_covariance
+from robot_sysid.records.quantities import load_covariance
 
 ARMS = (
     GUESS,

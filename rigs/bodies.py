@@ -9,8 +9,9 @@ from rigs import results as made
 from rigs.arms import random_rotation
 from robot_sysid import spatial
 from robot_sysid.records import Flange
+from robot_sysid.records.quantities import BodyEstimate
 from robot_sysid.results.cards import card_text, number_groups
-from robot_sysid.results.record import BodyEstimate, Payload
+from robot_sysid.results.record import Payload
 
 TOOL = np.array([0.0, 0.0, 0.107])
 FLANGE = Flange("site 'tool'", np.eye(3), TOOL, "link7", "found by name")

@@ -1,6 +1,6 @@
 """The rows of a params.json by what has them."""
 
-from robot_sysid.results.record import CURVED, FILE
+from robot_sysid.records.quantities import CURVED, FILE
 
 OF_FILES = (FILE, CURVED)
 

@@ -17,21 +17,21 @@ from robot_sysid import spatial
 from robot_sysid.records.controllers import CHOICES
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import Detail
-from robot_sysid.results.cards import number_groups
-from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import block_lines, more_lines, verdict_line
-from robot_sysid.results.quantities import BEYOND, MOMENT
-from robot_sysid.results.record import (
+from robot_sysid.records.quantities import (
+    BEYOND,
     BOUND,
     DATA,
     MODEL,
-    CurvedFile,
+    MOMENT,
     FrictionCurve,
-    NextMotion,
     Quantity,
-    Verdict,
 )
+from robot_sysid.results.cards import number_groups
+from robot_sysid.results.content import content_of
+from robot_sysid.results.lines import block_lines, more_lines, verdict_line
+from robot_sysid.results.record import ModelFile, NextMotion
 from robot_sysid.results.table import beyond_line, cells, table_lines
+from robot_sysid.results.verdicts import Verdict
 
 FOLDER = ROOT / "tests" / "results" / "recorded"
 
@@ -52,11 +52,18 @@ def bolted_on(mass, error):
     )
 
 
-FILE = made.model_file(others=())
-BENT = made.model_file(
-    others=(),
-    curved=CurvedFile(
-        *(made.validation_of(e, "fifths of arm.csv", e) for e in (0.27, 0.002) * 2)
+FILE = made.without_other_logs(made.model_file())
+BENT = replace(
+    FILE,
+    curved=ModelFile(
+        errors=(
+            made.errors_from(
+                *(
+                    made.validation_of(e, "fifths of arm.csv", e)
+                    for e in (0.27, 0.002) * 2
+                )
+            ),
+        )
     ),
 )
 CURVE = FrictionCurve(
@@ -69,8 +76,8 @@ CURVE = FrictionCurve(
     torque=(0.41, 0.55, 0.6),
     errors=(0.01, 0.012, 0.02),
 )
-SLOW = made.model_file(
-    others=(),
+SLOW = replace(
+    FILE,
     elsewhere=made.elsewhere(
         0.2,
         faster="j6",
@@ -86,7 +93,7 @@ RESULTS = {
     "mass not shown": UNSEEN,
     "mass not known": made.found(made.with_value("m", 2.0, 1.2), file=FILE),
     "slow log": made.found(file=SLOW),
-    "no promise": made.found(file=made.model_file(others=(), elsewhere=None)),
+    "no promise": made.found(file=replace(FILE, elsewhere=None)),
     "friction that bends": made.found(
         file=BENT, curves=(CURVE,), tops={"j5": 1.0, "j6": 1.5}
     ),

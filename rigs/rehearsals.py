@@ -10,7 +10,7 @@ from pathlib import Path
 from rigs.params import rows
 from rigs.places import EXAMPLE, MODELS
 from rigs.walk import run_here
-from robot_sysid.results.quantities import BEYOND
+from robot_sysid.records.quantities import BEYOND
 
 FAST = 400.0
 """Rate above which seven motors need CAN-FD [Hz]."""

@@ -17,7 +17,7 @@ from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import verdict_line
-from robot_sysid.results.record import ModelErrors, Verdict
+from robot_sysid.results.verdicts import Verdict
 
 ODD = "other <script>alert(1)</script> $x^{1}& 関節.csv"
 NAMED = {"link0": "link5", "link1": "link6", "joint0": "j5", "joint1": "j6"}
@@ -41,9 +41,14 @@ def on_arm(result, path):
 def link_result(path):
     """A result about every link of the arm in a file."""
     result = made.whole()
-    pair = vars(result.file.others[0]).values()
-    odd = (replace(validation, source=ODD) for validation in pair)
-    file = replace(result.file, others=(ModelErrors(*odd),))
+    (other,) = result.file.others
+    odd = (
+        replace(validation, source=ODD)
+        for pair in (other, other.as_used)
+        for validation in (pair.before, pair.after)
+    )
+    errors = (result.file.held_out, made.errors_from(*odd))
+    file = replace(result.file, errors=errors)
     return on_arm(replace(result, file=file), path)
 
 

@@ -10,38 +10,41 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.estimate.result import beyond_model
+from robot_sysid.estimate.quantities import beyond_model
 from robot_sysid.records import (
     ITSELF,
     ArmLink,
     DataOrigin,
+    Errors,
     FitQuality,
     Flange,
     InertialParameters,
     JointFriction,
     Limits,
+    ModelErrors,
     RobotModel,
     SubtreeBody,
     Validation,
 )
 from robot_sysid.records.messages import Level, Remark, says
-from robot_sysid.results.quantities import body_quantities
-from robot_sysid.results.record import (
+from robot_sysid.records.quantities import (
     BOUND,
     FILE,
+    BodyEstimate,
+    Quantity,
+    body_quantities,
+)
+from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
-    BodyEstimate,
     Elsewhere,
     ErrorPart,
     Identification,
-    ModelErrors,
     ModelFile,
     MotionErrors,
     Payload,
-    Quantity,
-    Verdict,
 )
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.spatial import PARAMETER_NAMES, theta_from_com
 
 JOINTS = ("j5", "j6")
@@ -249,15 +252,25 @@ def elsewhere(after=0.03, of_log=0.025, **changes):
     return replace(expected, **changes)
 
 
+def errors_from(before, after, before_as_used, after_as_used):
+    """Errors of a model and of a file, and those with offsets counted as errors."""
+    return ModelErrors(before, after, Errors(before_as_used, after_as_used))
+
+
+def without_other_logs(file):
+    """What is said of a file where only one log was judged."""
+    return replace(file, errors=file.errors[:1])
+
+
 def model_file(**changes):
     """What is said of a written model that predicts torques to 0.25 % instead of 27 %."""
     of_other = [validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)]
+    of_log = [
+        validation_of(rmse, "fifths of arm.csv", relative)
+        for rmse, relative in ((1.5, 0.27), (0.02, 0.0025), (1.6, 0.28), (0.03, 0.0035))
+    ]
     file = ModelFile(
-        before=validation_of(1.5, "fifths of arm.csv", 0.27),
-        after=validation_of(0.02, "fifths of arm.csv", 0.0025),
-        before_as_used=validation_of(1.6, "fifths of arm.csv", 0.28),
-        after_as_used=validation_of(0.03, "fifths of arm.csv", 0.0035),
-        others=(ModelErrors(*of_other, *of_other),),
+        errors=(errors_from(*of_log), errors_from(*of_other, *of_other)),
         gravity=np.array([0.0, 0.1, -9.8]),
         kept=("rotor inertia",),
         elsewhere=elsewhere(),

@@ -59,6 +59,7 @@ _NAMES = {
         "ColumnMap",
         "DataOrigin",
         "FitQuality",
+        "ModelErrors",
         "Motion",
         "Recording",
         "Traces",
@@ -66,16 +67,9 @@ _NAMES = {
     ),
     "records.limits": ("Limits",),
     "records.messages": ("Level", "Remark"),
-    "results.record": (
-        "BodyEstimate",
-        "CurvedFile",
-        "FrictionCurve",
-        "ModelErrors",
-        "ModelFile",
-        "Payload",
-        "Quantity",
-        "Verdict",
-    ),
+    "records.quantities": ("BodyEstimate", "FrictionCurve", "Quantity"),
+    "results.record": ("CurvedFile", "ModelFile", "Payload"),
+    "results.verdicts": ("Verdict",),
 }
 # Public name to the module that defines it.
 _MODULES = {name: module for module in _NAMES for name in _NAMES[module]}

@@ -39,6 +39,7 @@ from robot_sysid.records.arm import SubtreeBody as SubtreeBody
 from robot_sysid.records.data import ColumnMap as ColumnMap
 from robot_sysid.records.data import DataOrigin as DataOrigin
 from robot_sysid.records.data import FitQuality as FitQuality
+from robot_sysid.records.data import ModelErrors as ModelErrors
 from robot_sysid.records.data import Motion as Motion
 from robot_sysid.records.data import Recording as Recording
 from robot_sysid.records.data import Traces as Traces
@@ -46,14 +47,13 @@ from robot_sysid.records.data import Validation as Validation
 from robot_sysid.records.limits import Limits as Limits
 from robot_sysid.records.messages import Level as Level
 from robot_sysid.records.messages import Remark as Remark
-from robot_sysid.results.record import BodyEstimate as BodyEstimate
+from robot_sysid.records.quantities import BodyEstimate as BodyEstimate
+from robot_sysid.records.quantities import FrictionCurve as FrictionCurve
+from robot_sysid.records.quantities import Quantity as Quantity
 from robot_sysid.results.record import CurvedFile as CurvedFile
-from robot_sysid.results.record import FrictionCurve as FrictionCurve
-from robot_sysid.results.record import ModelErrors as ModelErrors
 from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload
-from robot_sysid.results.record import Quantity as Quantity
-from robot_sysid.results.record import Verdict as Verdict
+from robot_sysid.results.verdicts import Verdict as Verdict
 
 motors = damiao
 __version__: str

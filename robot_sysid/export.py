@@ -21,10 +21,12 @@ from robot_sysid.records import RobotModel, file_access
 from robot_sysid.records.controllers import ALL
 from robot_sysid.records.messages import Level, NextStep, Progress, says
 from robot_sysid.records.option_fields import write_torque_scale
+from robot_sysid.records.quantities import CURVED
 from robot_sysid.results.cards import card_text, number_groups, simulator_card
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
-from robot_sysid.results.record import CURVED, Identification, ModelTarget, Verdict
+from robot_sysid.results.record import Identification, ModelTarget
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.results.written_model import can_bend, versions, write_model
 
 # Files that a command writes after the results.
@@ -142,8 +144,11 @@ def save(
         *clamping,
     )
     # What lets a result be used is in the verdict.
-    uses = [verdict.name for verdict in Verdict if verdict.level is Level.SAYS]
-    remarks = [remark for remark in result.remarks if remark.about not in uses]
+    remarks = [
+        remark
+        for remark in result.remarks
+        if not isinstance(remark.about, Verdict) or remark.level is not Level.SAYS
+    ]
     progress.remark(*remarks, *says((*notes, *removed)))
     if options.save_torque_scale is not None and content["failure"] is None:
         rows = [row for row in result.quantities if row.name == "torque_scale"]

@@ -29,8 +29,9 @@ from robot_sysid.errors import InputError
 from robot_sysid.export import RESULT_NAMES, save
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import json_text
+from robot_sysid.records.quantities import FILE
 from robot_sysid.results import content as rows
-from robot_sysid.results.record import FILE, Verdict
+from robot_sysid.results.verdicts import Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
 
 THETA = random_theta(np.random.default_rng(1), 2.0)

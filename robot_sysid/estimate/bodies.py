@@ -28,6 +28,26 @@ from robot_sysid.spatial import N_INERTIAL, nearest_consistent_body
 
 LEAST_SHARE = 1e-6
 """Least eigenvalue of a body's pseudo-inertia, relative to that of its reference body."""
+SPREADS = (1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e8, 1e12)
+"""Standard deviations of bodies from their reference bodies, as a share of them, that are tried one
+after the other. The largest ones are for reference bodies that are far too small."""
+MOST_ABOVE = 3.0
+"""Most by which squared residuals exceed the least ones that possible bodies have, in units of
+their variance: fitting is expected to decrease them by the number of parameters."""
+HELD_WEIGHT = 1e4
+"""Weight of rows that hold hidden directions at the reference bodies; columns have unit length."""
+LOOSE = 1e10
+"""Standard deviation of other parameters, whose columns have unit length: they are held where they
+have no data, and nowhere else."""
+LEAST_AXIS = 0.1
+"""Least eigenvalue of the body relative to which others are expressed, over that of its reference
+body: none of its directions is tiny."""
+SMALL_DISTANCE = 3e4
+"""Squared residuals, in units of their variance, up to which a search need not begin again: the
+solver's error is relative to the distance, and far less than ``MOST_ABOVE`` there."""
+HEAVIEST = (1e7, 1e5, 1e3)
+"""Largest norms of the equations, tried one after the other: where rounding ends a search with
+exact data, it comes to an end with data that weighs less."""
 # Relative error of the solution.
 _TOLERANCE = 1e-8
 # Orthonormal basis (10, 4, 4) of symmetric matrices with the inner product tr(A B): a matrix has a
@@ -115,15 +135,13 @@ def consistent_least_squares(
         # much that they hold it at the reference bodies.
         space = visible_space(matrix)
         rows = unit[:, order].T @ (space.null.T / space.scale).T
-        held = 1e4 * np.linalg.qr(rows)[0].T
+        held = HELD_WEIGHT * np.linalg.qr(rows)[0].T
         hidden = np.column_stack((held, np.zeros(len(held))))
-    # The largest ones are for reference bodies that are far too small.
-    spreads = (1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e8, 1e12)
     if like is None:
         start = None
         # With all hidden directions held, then with none of them.
-        tried = [*product((True, False) if has_hidden else (False,), spreads)]
-        limit = cost(_solve(shown, bodies, spreads[-1])) + 3.0
+        tried = [*product((True, False) if has_hidden else (False,), SPREADS)]
+        limit = cost(_solve(shown, bodies, SPREADS[-1])) + MOST_ABOVE
     else:
         start = like.values[links]
         tried = [(like.is_held and has_hidden, like.spread)]
@@ -155,8 +173,7 @@ def _solve(
     size = rows.shape[1] - 1
     others = size - bodies.size
     precision = np.eye(size, size + 1)
-    # Other parameters, whose columns have unit length, are held where they have no data.
-    precision[:others] /= 1e10
+    precision[:others] /= LOOSE
     precision[others:] /= spread
     triangle = np.asarray(np.linalg.qr(np.vstack((rows, precision)), mode="r"))
     z = _possible_coordinates(triangle[others:, others:], bodies, start)
@@ -191,8 +208,7 @@ def _possible_coordinates(
         least = []
         for first, theta, unit in zip(range(0, len(z), N_INERTIAL), bodies, units):
             span = slice(first, first + N_INERTIAL)
-            # None of the directions of the body relative to which others are expressed is tiny.
-            near = nearest_consistent_body(theta + unit @ z[span], theta, 0.1)
+            near = nearest_consistent_body(theta + unit @ z[span], theta, LEAST_AXIS)
             centre[span] = np.linalg.solve(unit, near - theta)
             change[span, span] = np.linalg.solve(unit, _units(near))
             inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(near)))
@@ -201,8 +217,7 @@ def _possible_coordinates(
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
         found = _by_cone(rows, LEAST_SHARE * np.array(least) + _TOLERANCE * np.eye(4))
         z = centre + change @ found
-        # Of so small a distance the solver's error is far less than what is negligible.
-        if found.any() and (start is not None or shifted @ shifted < 3e4):
+        if found.any() and (start is not None or shifted @ shifted < SMALL_DISTANCE):
             break
     return np.asarray(z)
 
@@ -227,9 +242,7 @@ def _by_cone(equations: Array, least: Array) -> Array:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
-    # Where rounding ends a search with exact data, it comes to an end with data that weighs less,
-    # and begins again from there.
-    for heaviest in (1e7, 1e5, 1e3):
+    for heaviest in HEAVIEST:
         rows = equations / max(1.0, float(np.linalg.norm(equations)) / heaviest)
         # Residuals are variables of their own: the condition of the problem is not squared.
         residuals = np.hstack((rows[:, :-1], -np.eye(count)))

@@ -17,6 +17,10 @@ from robot_sysid.records.data import rms_of_joints
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.signals.process import FilteredRecording
 
+LOWER = 0.9
+"""Share of reference squared errors below which others are clearly lower, a tenth less: a smaller
+gain is worth no other model, however clear it is."""
+
 
 def validation(fitted: Fit) -> Validation:
     """Return the held-out error of the recordings that were fitted."""
@@ -56,7 +60,7 @@ def held_out_logs(fitted: Fit) -> Iterator[Validation]:
             yield test
 
 
-def predicted(
+def prediction_error(
     fitted: Fit, recordings: Sequence[FilteredRecording], source: str
 ) -> Validation:
     """Return the error with which a fit predicts the torques of other recordings.
@@ -130,8 +134,8 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     """Tell whether squared errors are clearly lower than those of a reference, over all blocks.
 
     The sum over blocks, and the geometric mean of the ratios of the blocks' errors, have to be
-    lower by more than a tenth; the mean logarithm of these ratios has to be negative by more than
-    ``INTERVAL`` standard errors. Fewer than two blocks show nothing.
+    lower by more than a tenth (``LOWER``); the mean logarithm of these ratios has to be negative by
+    more than ``INTERVAL`` standard errors. Fewer than two blocks show nothing.
 
     Args:
         errors: (B,) squared held-out errors, in any unit.
@@ -143,7 +147,7 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     mean = np.mean(ratio)
     standard_error = np.std(ratio, ddof=1) / np.sqrt(len(ratio))
     return bool(
-        np.sum(errors) < 0.9 * np.sum(reference)
-        and mean < np.log(0.9)
+        np.sum(errors) < LOWER * np.sum(reference)
+        and mean < np.log(LOWER)
         and mean + INTERVAL * standard_error < 0.0
     )

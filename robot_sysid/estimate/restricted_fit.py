@@ -37,10 +37,16 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.records import Array, InertialParameters, RobotModel, Validation
+from robot_sysid.records import (
+    Array,
+    Errors,
+    InertialParameters,
+    ModelErrors,
+    RobotModel,
+    Validation,
+)
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.parameters import keys_of
-from robot_sysid.results.record import CurvedFile, ModelErrors, ModelFile
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
@@ -75,8 +81,7 @@ def errors_of(file: Fit, model: Fit | None = None) -> ModelErrors:
     return ModelErrors(
         validation(model),
         validation(file),
-        validation_as_used(model),
-        validation_as_used(file),
+        Errors(validation_as_used(model), validation_as_used(file)),
     )
 
 
@@ -96,31 +101,6 @@ def gravity_in(file: Fit) -> Array | None:
     if TILT_NAMES[0] not in file.names and not np.any(angles):
         return file.arm.robot.gravity
     return turn_gravity(file.point.gravity, angles)
-
-
-def model_file(
-    file: Fit, logs: Sequence[tuple[Sequence[FilteredRecording], str]] = ()
-) -> ModelFile:
-    """Return what is said of a fitted model file, and of that beside it whose friction bends.
-
-    Args:
-        file: its fit.
-        logs: further logs on which it is judged, low-passed, and their names.
-    """
-    straight = straight_of(file)
-    model = offsets_of_model(file)
-    curved = None
-    if straight is not file:
-        others = tuple(errors_on(file, *log) for log in logs)
-        curved = CurvedFile(**vars(errors_of(file, model)), others=others)
-    return ModelFile(
-        **vars(errors_of(straight, model)),
-        others=tuple(errors_on(straight, *log) for log in logs),
-        gravity=gravity_in(file),
-        kept=file.question.options.kept,
-        motors=file.arm.motors,
-        curved=curved,
-    )
 
 
 def bent_owners(file: Fit) -> Iterator[str]:
@@ -240,17 +220,16 @@ def errors_on(
     """
     other = fitted.of(fitted.arm.sums(recordings, fitted.point))
     blocks = other.sums.blocks
-    errors: list[Validation] = []
-    errors_as_used: list[Validation] = []
+    pairs: list[tuple[Validation, Validation]] = []
     for values in ({}, fitted.by_name):
         solved = other.fit([other.arm.terms[OFFSET.name]], values)
-        for found, offsets in (
-            (errors, solved.values),
-            (errors_as_used, np.zeros_like(solved.values)),
-        ):
-            error = error_in(solved, offsets, solved.inverse, blocks, source)
-            found.append(error)
-    return ModelErrors(*errors, *errors_as_used)
+        error, as_used = (
+            error_in(solved, offsets, solved.inverse, blocks, source)
+            for offsets in (solved.values, np.zeros_like(solved.values))
+        )
+        pairs.append((error, as_used))
+    (before, before_as_used), (after, after_as_used) = pairs
+    return ModelErrors(before, after, Errors(before_as_used, after_as_used))
 
 
 def _known_offsets(fitted: Fit) -> Term:

@@ -28,8 +28,12 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit, LeftOut
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.quantities import (
+    friction_columns,
+    friction_errors,
+    friction_sum,
+)
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.result import friction_columns, friction_errors, friction_sum
 from robot_sysid.estimate.terms import (
     DELAY,
     DRIFT,
@@ -48,6 +52,7 @@ from robot_sysid.records import Array, parameters
 from robot_sysid.records.levels import ALARMING, FALSE_ALARMS, SURE, TELLING
 from robot_sysid.records.messages import torque_unit
 from robot_sysid.records.parameters import Parameter
+from robot_sysid.records.quantities import Quantity
 from robot_sysid.records.usual_errors import DELAY as DELAY_ERROR
 from robot_sysid.records.usual_errors import (
     LINKS_AS_OFFSET,
@@ -56,7 +61,6 @@ from robot_sysid.records.usual_errors import (
     LINKS_AS_ZERO,
     WEIGHT,
 )
-from robot_sysid.results.record import Quantity
 from robot_sysid.spatial import PARAMETER_NAMES
 
 ALL_JOINTS = "all joints alike"

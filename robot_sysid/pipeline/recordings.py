@@ -16,11 +16,10 @@ from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.held_out import predicted
-from robot_sysid.estimate.payload import payload_result, written_payload
+from robot_sysid.estimate.held_out import prediction_error
+from robot_sysid.estimate.payload import written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
-from robot_sysid.estimate.result import link_result
 from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import find_flange
@@ -36,6 +35,8 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
+from robot_sysid.results.identification import link_result
+from robot_sysid.results.payload import payload_result
 from robot_sysid.results.record import Identification
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
@@ -138,7 +139,7 @@ def _result(
     for log in tests:
         pieces, _ = low_pass_recordings(robot, split_at_gaps(log), cutoff)
         others.append((pieces, log.name))
-    errors = [predicted(fitted, *other) for other in others]
+    errors = [prediction_error(fitted, *other) for other in others]
     result = link_result(fitted, file, errors, origin, notes, others)
     return with_promise(result, fitted, file)
 

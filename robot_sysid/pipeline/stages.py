@@ -30,24 +30,13 @@ from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.next_steps import step_after
 from robot_sysid.pipeline.planning import draft_motor_file, draft_plan, write_plan
 from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
-from robot_sysid.records.data import FitQuality
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
-from robot_sysid.records.messages import Detail, NextStep, Progress, percent, says
+from robot_sysid.records.messages import Detail, NextStep, Progress, percent
 from robot_sysid.records.option_fields import given_values
-from robot_sysid.results.quantities import (
-    BEYOND,
-    MOMENT,
-    body_quantities,
-    without_rounding,
-)
-from robot_sysid.results.record import (
-    LINK,
-    BodyEstimate,
-    Identification,
-    Quantity,
-    Verdict,
-)
+from robot_sysid.records.quantities import BEYOND, MOMENT
+from robot_sysid.results.record import Identification
+from robot_sysid.results.self_test import self_test_result
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import can_bend
 from robot_sysid.simulator import simulate_inverse
@@ -285,42 +274,14 @@ def run_self_test(
     sums = arm.exact_sums(tracked)
     progress.stage("Solving for parameters...")
     values, errors, quality = identify_parameters(sums, arm.prior, possible=True)
-    body = BodyEstimate(values[:10], robot.body_name, prior=robot.prior)
-    rows = [*body_quantities(body)]
-    parameters = [each for term in arm.terms.values() for each in term.parameters]
-    for parameter, model, identified in zip(parameters, arm.prior, values):
-        if parameter.of:
-            value = float(without_rounding(identified, 1.0))
-            # Without noise, the error is one of rounding: none is stated.
-            about = parameter.name, parameter.of, parameter.unit
-            rows.append(Quantity(*about, float(model), value, None))
-    thetas = robot.thetas
-    thetas[-1] = body.theta
-    verdict = self_test_verdict(body.mass, errors[0], quality)
-    return Identification(
-        robot=robot,
-        question=LINK,
-        quality=quality,
-        quantities=tuple(rows),
-        remarks=(verdict.remark(), *says(robot.notes)),
-        total=body,
-        thetas=thetas,
-        torques=options.torques,
-        data=DataOrigin(ITSELF, plan.duration, rate, config.trajectory.seed or 0),
-        friction_model="-".join(terms) or "none",
-        checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
+    return self_test_result(
+        robot,
+        [each for term in arm.terms.values() for each in term.parameters],
+        arm.prior,
+        values,
+        float(errors[0]),
+        quality,
+        DataOrigin(ITSELF, plan.duration, rate, config.trajectory.seed or 0),
+        plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
+        options.torques,
     )
-
-
-def self_test_verdict(mass: float, mass_error: float, quality: FitQuality) -> Verdict:
-    """Return the verdict on the identification of a model from its own simulation.
-
-    TOO_WEAK where the mass's standard error is above half the mass [kg], PARTLY_FROM_MODEL where
-    some parameters are not identifiable, else OK.
-    """
-    # A milligram is small enough whatever the mass is.
-    if max(1e-6, 0.5 * mass) < mass_error < np.inf:
-        return Verdict.TOO_WEAK
-    if quality.unidentifiable:
-        return Verdict.PARTLY_FROM_MODEL
-    return Verdict.OK

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -331,6 +331,43 @@ class Validation:
     relative_error_per_joint: Mapping[str, float | None]
     is_informative: bool
     blocks: Array = field(compare=False)
+
+
+Error = TypeVar("Error")
+
+
+@dataclass(frozen=True)
+class Errors(Generic[Error]):
+    """Torque errors of two models on the same data.
+
+    Attributes:
+        before: of the original model.
+        after: of the written model.
+    """
+
+    before: Error
+    after: Error
+
+
+@dataclass(frozen=True)
+class ModelErrors(Errors[Validation]):
+    """Torque errors of two models in recordings, each joint's sensor offset removed.
+
+    Attributes:
+        as_used: with offsets counted as errors: no file holds them.
+    """
+
+    as_used: Errors[Validation]
+
+    @property
+    def before_as_used(self) -> Validation:
+        """Error of the original model with offsets counted as errors."""
+        return self.as_used.before
+
+    @property
+    def after_as_used(self) -> Validation:
+        """Error of the written model with offsets counted as errors."""
+        return self.as_used.after
 
 
 ITSELF = "simulation of the model itself"

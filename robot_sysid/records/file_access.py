@@ -379,7 +379,8 @@ def json_text(content: Mapping[str, Any]) -> str:
 def strict_json(value: Any) -> Any:
     """Return a value as strict JSON can hold it: records as dicts, enumerations by their values.
 
-    Numbers that are not finite become None. Fields that do not count in comparisons are left out.
+    Enumerations of strings are their strings. Numbers that are not finite become None. Fields that
+    do not count in comparisons are left out.
     """
     if is_dataclass(value) and not isinstance(value, type):
         names = [entry.name for entry in fields(value) if entry.compare]
@@ -392,5 +393,5 @@ def strict_json(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return list(map(strict_json, value))
     if isinstance(value, Enum):
-        return value.value
+        return str(value) if isinstance(value, str) else value.value
     return None if isinstance(value, float) and not math.isfinite(value) else value

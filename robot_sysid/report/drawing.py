@@ -30,6 +30,10 @@ COLOURS = {
 """Name of a colour, a CSS variable of the page, to the colour that stands for it while matplotlib
 draws: text and axes, grid lines, the model before, identified and
 measured values."""
+PIXELS_PER_INCH = 72.0
+"""Resolution of matplotlib's SVG, whose unit is then the pixel."""
+WIDTH = 460.0
+"""Width of a figure [px]: two fit side by side on a screen, one on a phone."""
 # matplotlib's settings for all figures.
 _STYLE: Any = {
     "axes.axisbelow": True,
@@ -43,7 +47,7 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.unicode_minus": False,
     "figure.constrained_layout.use": True,
-    "figure.dpi": 72.0,
+    "figure.dpi": PIXELS_PER_INCH,
     "figure.facecolor": "none",
     "font.family": "DejaVu Sans",
     "font.size": 13.0,
@@ -88,9 +92,7 @@ def new_figure(height: float, rows: int = 1) -> Any:
     """Return (matplotlib's figure of a height [px], its axes (rows, 1) above one another)."""
     from matplotlib.figure import Figure as Canvas
 
-    # Two figures fit side by side on a screen, one on a phone.
-    width = 460.0
-    canvas = Canvas(figsize=(width / 72.0, height / 72.0))
+    canvas = Canvas(figsize=(WIDTH / PIXELS_PER_INCH, height / PIXELS_PER_INCH))
     return canvas, canvas.subplots(rows, squeeze=False, sharex=True)
 
 
@@ -120,7 +122,7 @@ def svg(canvas: Canvas, name: str) -> str:
     # The first definitions are a style, which would be that of the whole page.
     body = buffer.getvalue().partition("</defs>")[2]
     body = re.sub(r"<[^>]*>", _inline_tag, body)
-    width, height = 72.0 * canvas.get_size_inches()
+    width, height = PIXELS_PER_INCH * canvas.get_size_inches()
     view = f'viewBox="0 0 {width:.0f} {height:.0f}" font-size="13"'
     return f'<svg aria-hidden="true" {view}>{body}'
 

@@ -11,6 +11,16 @@ from robot_sysid.records import Array, Traces
 from robot_sysid.records.messages import position_unit, torque_unit
 from robot_sysid.report.drawing import COLOURS, Figure, add_legend, new_figure, svg
 
+TORQUE_HEIGHT = 310.0
+"""Height of a figure of torques above residuals [px]."""
+FRICTION_HEIGHT = 230.0
+"""Height of a figure of friction [px]."""
+MEASURED_WIDTH = 3.2
+"""Width of the line of measured torque [px], behind the predicted ones, so that it shows beside
+them."""
+MOST_DOTS = 300
+"""Number of dots of a figure from which more would overlap."""
+
 
 def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
     """Return the figure of a joint's torque, measured and predicted, above both residuals."""
@@ -18,10 +28,10 @@ def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
     measured = traces.measured[:, joint]
     before = traces.prior_prediction[:, joint]
     after = traces.predicted[:, joint]
-    canvas, ((torque_axes,), (axes,)) = new_figure(310.0, 2)
+    canvas, ((torque_axes,), (axes,)) = new_figure(TORQUE_HEIGHT, 2)
     time = traces.time
     torque_axes.plot(
-        time, measured, color=COLOURS["measured"], lw=3.2, label="measured"
+        time, measured, color=COLOURS["measured"], lw=MEASURED_WIDTH, label="measured"
     )
     for label, prediction, style in (("before", before, "--"), ("after", after, "-")):
         colour = COLOURS[label]
@@ -39,7 +49,7 @@ def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
     return Figure(caption, svg(canvas, f"{name}-{joint}"))
 
 
-def most_changed(traces: Traces) -> int:
+def joint_of_largest_change(traces: Traces) -> int:
     """Return the index of the joint whose root mean square residual has changed most."""
     before = _rms(traces.measured - traces.prior_prediction)
     return int(np.argmax(np.nan_to_num(np.abs(before - _rms(traces.residual)))))
@@ -58,10 +68,9 @@ def friction_figure(traces: Traces, joint: int) -> Figure:
     friction = traces.friction[:, joint]
     measured = friction + traces.residual[:, joint]
     used = np.flatnonzero(np.isfinite(measured))
-    # More than some 300 dots would overlap.
-    used = used[:: max(1, len(used) // 300)]
+    used = used[:: max(1, len(used) // MOST_DOTS)]
     speed = traces.qd[used, joint]
-    canvas, ((axes,),) = new_figure(230.0)
+    canvas, ((axes,),) = new_figure(FRICTION_HEIGHT)
     axes.plot(
         speed, measured[used], ".", color=COLOURS["measured"], label="measured", ms=5
     )

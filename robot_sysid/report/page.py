@@ -23,15 +23,14 @@ from robot_sysid.records.file_access import (
     require_writable,
     write_atomically,
 )
-from robot_sysid.records.messages import Progress, number_text, percent
+from robot_sysid.records.messages import Level, Progress, number_text, percent
+from robot_sysid.records.quantities import BEYOND
 from robot_sysid.report import figures
 from robot_sysid.report.drawing import Figure, drawing_style
 from robot_sysid.report.pictures import pictures
 from robot_sysid.report.runs import Run
 from robot_sysid.results.content import Content
-from robot_sysid.results.lines import named_first
-from robot_sysid.results.quantities import BEYOND
-from robot_sysid.results.record import Verdict
+from robot_sysid.results.lines import file_to_use
 from robot_sysid.results.table import (
     CURVE_PARTS,
     body_rows,
@@ -41,6 +40,7 @@ from robot_sysid.results.table import (
     rows_of,
     shown_columns,
 )
+from robot_sysid.results.verdicts import Verdict
 
 # Errors that a page may raise if somebody has edited the run's params.json by hand.
 _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
@@ -119,14 +119,15 @@ def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str,
         "pictures": images,
         "no_pictures": no_pictures,
         "card": card.read_text("utf-8") if card.is_file() else "",
-        "elsewhere": file and named_first(file)["elsewhere"],
+        "elsewhere": file and file_to_use(file)["elsewhere"],
     }
 
 
 def _summary_of(run: Run) -> dict[str, Any]:
     """Return what both pages say of a run: title, rating and main numbers."""
     content = run.content
-    rating = "part" if content["status"] == Verdict.TORQUES_ONLY.name else "good"
+    verdict = Verdict[content["status"]]
+    rating = "part" if verdict.level is Level.DOUBTS else "good"
     # A run may refuse a model whose numbers it trusts.
     if content["failure"] is not None:
         rating = "bad"
@@ -184,7 +185,7 @@ def _figures_of(run: Run, progress: Progress) -> dict[str, list[Figure]]:
     traces = run.traces
     if traces is None:
         return {}
-    joint = figures.most_changed(traces)
+    joint = figures.joint_of_largest_change(traces)
     first = figures.torque_figure(traces, joint, "first")
     drawn = {"first": [first], "torques": [], "friction": []}
     for joint in range(len(traces.joints)):

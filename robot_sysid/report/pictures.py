@@ -15,6 +15,12 @@ from robot_sysid.report.runs import Run
 from robot_sysid.report.studio import Colour, Studio, png_bytes
 from robot_sysid.spatial import characteristic_length
 
+ROOM = 1.25
+"""Distance of the camera from the arm, over that at which just the arm fits."""
+LAST_LINK_DISTANCE = 0.3
+"""Distance of the camera from the last link, over that from the whole arm."""
+BODY_DISTANCE = 6.0
+"""Least distance of the camera, over the size of the largest body that is drawn."""
 # Version of the parameters to colour (red, green, blue, opacity) of its ellipsoid, 0 to 1.
 _COLOURS: dict[str, Colour] = {
     "before": (0.9, 0.45, 0.05, 0.3),
@@ -60,13 +66,13 @@ def _ellipsoid_pictures(robot: RobotModel, bodies: Sequence[Body]) -> list[Figur
     last = [body for body in bodies if body[0] == robot.body_id]
     with Studio(robot, width=800, height=620) as studio:
         target, distance = studio.arm_view()
-        distance *= 1.25  # beyond the one at which just the arm fits
+        distance *= ROOM
         for subject, drawn in (("the whole arm", bodies), ("the last link", last)):
             if drawn is last:
                 target = studio.data.xpos[robot.body_id]
-                distance *= 0.3
+                distance *= LAST_LINK_DISTANCE
             sizes = [characteristic_length(theta) for _, _, theta in drawn]
-            studio.start(target, max(distance, 6.0 * max(sizes)))
+            studio.start(target, max(distance, BODY_DISTANCE * max(sizes)))
             for body_id, version, theta in drawn:
                 studio.add_ellipsoid(body_id, theta, _COLOURS[version])
             caption = f"Ellipsoids of inertia on {subject}, in its reference posture."

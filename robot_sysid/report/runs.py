@@ -24,6 +24,8 @@ from robot_sysid.results.table import ORIGIN, rows_of
 
 DATA_NAME = "report_data.npz"
 """Name of the file of a run's folder that holds its signals."""
+MOST_INSTANTS = 2000
+"""Number of instants that are saved: no figure has more pixels across."""
 # Version of the format of report_data.npz; a file of another version is not read.
 _VERSION = 3
 
@@ -40,8 +42,7 @@ def save_data(folder: Path, traces: Traces, result: str) -> None:
         InputError: the file cannot be written.
     """
     count = len(traces.time)
-    # More than a figure has pixels across are not saved.
-    chosen = np.linspace(0, count - 1, min(count, 2000)).round().astype(int)
+    chosen = np.linspace(0, count - 1, min(count, MOST_INSTANTS)).round().astype(int)
     # The time starts anew with each log: here one log follows the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))

@@ -25,6 +25,26 @@ Picture = NDArray[np.uint8]
 Colour = tuple[float, float, float, float]
 """Red, green, blue and opacity, from 0 to 1."""
 
+PROBE_TIMEOUT = 60.0
+"""Time that a graphics library has to open a context [s]; one that hangs is none."""
+AZIMUTH = 135.0
+"""Direction in which the camera looks, about the vertical [deg]: from the front, at an angle."""
+ELEVATION = -15.0
+"""Direction in which the camera looks, from the horizontal [deg]: slightly from above."""
+ARM_OPACITY = 0.35
+"""Opacity of the arm in front of the ellipsoids, over that in its model."""
+WALL_DISTANCE = 4.0
+"""Distance of the wall behind the arm, over that of the camera in front of it."""
+WALL_SIZE = 16.0
+"""Radius of the wall, over the camera's distance: it fills the view."""
+WALL_HALF_THICKNESS = 0.01
+"""Half of the thickness of the wall [m]."""
+VIEW_DISTANCE = (0.75, 0.1)
+"""Distance at which an arm fits into the picture: a share of its bounding box's diagonal, and a
+margin [m]."""
+DOT_RADIUS = 0.008
+"""Radius of the dot at a centre of mass [m]."""
+
 NO_RENDERER = (
     "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
     "libegl1 libosmesa6); MUJOCO_GL chooses one"
@@ -56,7 +76,7 @@ def renderer_library() -> str | None:
     for name in names:
         call = [sys.executable, "-c", _PROBE, name]
         try:
-            probe = subprocess.run(call, capture_output=True, timeout=60.0)
+            probe = subprocess.run(call, capture_output=True, timeout=PROBE_TIMEOUT)
         except (OSError, subprocess.TimeoutExpired):
             continue
         if probe.returncode == 0:
@@ -116,8 +136,8 @@ class Studio:
             distance: of the camera from it [m].
         """
         camera = mujoco.MjvCamera()
-        camera.azimuth = 135.0
-        camera.elevation = -15.0
+        camera.azimuth = AZIMUTH
+        camera.elevation = ELEVATION
         camera.lookat = target
         camera.distance = distance
         self._renderer.update_scene(self.data, camera)
@@ -127,14 +147,15 @@ class Studio:
         for geom in self._scene.geoms[: self._scene.ngeom]:
             # The ellipsoids inside are seen through the arm, and not through a floor.
             if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
-                geom.rgba[3] *= 0.35
+                geom.rgba[3] *= ARM_OPACITY
         # A white wall closes the view; MuJoCo's own background is black.
         view_direction = self._scene.camera[0].forward
-        front = target + (4.0 * distance - 0.01) * view_direction
-        back = target + (4.0 * distance + 0.01) * view_direction
+        middle = WALL_DISTANCE * distance
+        front = target + (middle - WALL_HALF_THICKNESS) * view_direction
+        back = target + (middle + WALL_HALF_THICKNESS) * view_direction
         wall = mujoco.mjtGeom.mjGEOM_CYLINDER
         geom = self._add_geom(wall, np.ones(3), front, np.eye(3), (1.0, 1.0, 1.0, 1.0))
-        mujoco.mjv_connector(geom, wall, 16.0 * distance, front, back)
+        mujoco.mjv_connector(geom, wall, WALL_SIZE * distance, front, back)
         geom.emission = 1.0
 
     def arm_view(self) -> tuple[Array, float]:
@@ -148,7 +169,9 @@ class Studio:
         points = np.concatenate((self.data.xpos[ids], centres - radii, centres + radii))
         low = np.min(points, axis=0)
         high = np.max(points, axis=0)
-        return 0.5 * (low + high), 0.75 * float(np.linalg.norm(high - low)) + 0.1
+        share, margin = VIEW_DISTANCE
+        diagonal = float(np.linalg.norm(high - low))
+        return 0.5 * (low + high), share * diagonal + margin
 
     def add_ellipsoid(self, body: int, theta: Array, colour: Colour) -> bool:
         """Add the homogeneous ellipsoid of a body's mass and inertia, its centre as a dot.
@@ -173,7 +196,7 @@ class Studio:
         is_possible = mass > 0.0 and bool(np.all(squares > 0.0))
         sphere = mujoco.mjtGeom.mjGEOM_SPHERE
         dot_colour = (*colour[:3], 1.0)
-        self._add_geom(sphere, np.full(3, 0.008), centre, np.eye(3), dot_colour)
+        self._add_geom(sphere, np.full(3, DOT_RADIUS), centre, np.eye(3), dot_colour)
         if is_possible:
             ellipsoid = mujoco.mjtGeom.mjGEOM_ELLIPSOID
             self._add_geom(ellipsoid, np.sqrt(squares), centre, rotation @ axes, colour)

@@ -23,8 +23,8 @@ from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, InertialParameters, RobotModel
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS, makers_of
 from robot_sysid.records.messages import with_error
-from robot_sysid.results.quantities import load_errors, principal_moments
-from robot_sysid.results.record import BodyEstimate, Payload
+from robot_sysid.records.quantities import BodyEstimate, load_errors, principal_moments
+from robot_sysid.results.record import Payload
 
 # Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
 # each of ``controllers.SIMULATORS``.
@@ -37,6 +37,8 @@ is 1e-11 of its size."""
 # Share of the largest number of a group below which a number is rounding error: about 1e4 times the
 # relative rounding error of a double.
 _ROUNDING = 1e-12
+CONTROLLER_ROUNDING = 1e-6
+"""Share of the sum of principal moments that a controller does not keep."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
 
@@ -223,8 +225,7 @@ def number_groups(body: BodyEstimate) -> dict[str, Any]:
 
 def _is_possible(moments: Array, rounding: float) -> bool:
     """Return whether a rigid body has these principal moments (3,) [kg m^2], but for rounding."""
-    # Below the digits that a controller keeps.
-    tolerance = 1e-6 * np.sum(np.abs(moments)) + rounding
+    tolerance = CONTROLLER_ROUNDING * np.sum(np.abs(moments)) + rounding
     triangle_excess = 2.0 * np.max(moments) - np.sum(moments)
     return max(-np.min(moments), triangle_excess) <= tolerance
 

@@ -25,7 +25,7 @@ from robot_sysid.records.file_access import (
 from robot_sysid.records.messages import Detail, NextStep, percent
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
-from robot_sysid.results.record import PAYLOAD, Verdict
+from robot_sysid.results.record import PAYLOAD
 from robot_sysid.results.table import (
     KNOWN,
     all_cells,
@@ -40,15 +40,12 @@ from robot_sysid.results.table import (
     rows_of,
     table_lines,
 )
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.spatial import PARAMETER_NAMES
 
-# Name of a verdict to the sentence on the result's use, where that is not "Usable".
-_USE_TEXTS = {
-    Verdict.TORQUES_ONLY.name: "Only for torques of motions like the log's, not for the numbers",
-    Verdict.AS_GOOD.name: "Usable, but the model was about as good before",
-    Verdict.PARTLY_FROM_MODEL.name: "{usable} (not identifiable, model's values kept: {unseen})",
-    Verdict.INERTIA_NOT_KNOWN.name: "Usable for mass and centre of mass (the inertia is not known)",
-}
+SMALL = 0.01
+"""Size below which all numbers of a line have two digits of the largest in place of three decimals.
+"""
 
 
 def result_lines(content: Content, links: bool) -> list[str]:
@@ -121,7 +118,7 @@ def _quality_lines(content: Content) -> list[str]:
 def _decimals_text(values: Sequence[float]) -> str:
     """Return numbers with three decimals; if all are below 0.01, with two digits of the largest."""
     largest = np.max(np.abs(values))
-    is_small = 0.0 < largest < 0.01
+    is_small = 0.0 < largest < SMALL
     decimals = 1 - math.floor(math.log10(largest)) if is_small else 3
     return ", ".join(f"{value:.{decimals}f}" for value in values)
 
@@ -203,16 +200,15 @@ def verdict_line(content: Content) -> str:
         )
         return use + (f" (not identifiable: {unseen})" if unseen else "")
     file = content["file"]
-    elsewhere = file and named_first(file)["elsewhere"]
+    elsewhere = file and file_to_use(file)["elsewhere"]
     usable = "Usable"
     if elsewhere and elsewhere["for_like_motions"]:
         usable = "Usable for motions like this log"
-    use = _USE_TEXTS.get(content["status"], "{usable}")
-    use = use.format(usable=usable, unseen=unseen)
+    use = Verdict[content["status"]].use.format(usable=usable, unseen=unseen)
     return f"{use}: {'; '.join(_improvements(content))}"
 
 
-def named_first(file: Content) -> Content:
+def file_to_use(file: Content) -> Content:
     """Return what is said of the file that is named first: that with curves, if it is written."""
     curved: Content | None = file["curved"]
     return curved if curved and curved["name"] else file
@@ -259,7 +255,7 @@ def _improvements(content: Content) -> Iterator[str]:
     if file:
         # A payload is part of both models: the change is that of links and friction.
         load = " with the payload" if payload else ""
-        first = named_first(file)
+        first = file_to_use(file)
         text = f"torque error{load} {before_after_text(first, '_as_used')} here"
         used, aside = (
             percent(first[after]["relative_error"] or 0.0)

@@ -8,216 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid import records
 from robot_sysid.dynamics.friction import ROTOR, Coupling
-from robot_sysid.records import Array, InertialParameters, Motion, Traces, Validation
+from robot_sysid.records import Array, Errors, ModelErrors, Motion, Traces, Validation
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
 from robot_sysid.records.messages import Level, Remark
-from robot_sysid.wording import with_option_names
+from robot_sysid.records.quantities import (
+    CURVED,
+    FILE,
+    BodyEstimate,
+    FrictionCurve,
+    Quantity,
+)
+from robot_sysid.results.verdicts import Verdict, verdict_of
 
 LINK = "link"
 """Question for the inertia of the terminal link, and of every other link with it."""
 PAYLOAD = "payload"
 """Question for the inertia of a payload, from recordings without and with it."""
-
-
-class Verdict(Enum):
-    """What decides on the use of a result; the value says what it means, or what to do."""
-
-    SWAPPED = (
-        "the loaded recordings weigh less than the empty ones: {empty} and {loaded} look swapped; "
-        "exchange them"
-    )
-    DISAGREE = (
-        "the recordings contradict each other about the payload: one of them was made with "
-        "another payload, or with it turned or moved, or is listed on the wrong side"
-    )
-    NOT_SEEN = (
-        "the payload's mass does not differ significantly from zero: move joints that lift it, "
-        "faster, wider or longer, or check that the loaded recordings were made with the payload"
-    )
-    WRONG_WEIGHT = (
-        "the known mass does not fit the recordings: weighed with torques as they are it comes "
-        "out far from what {known_mass} says; check the weight, its unit (kg), and that nothing "
-        "else was changed between empty and loaded"
-    )
-    UNEXPLAINED = (
-        "the torques do not follow from the motion as far as noise would let them, so the log, its "
-        "units, its friction or the rest of the model are not what they are taken for"
-    )
-    IMPLAUSIBLE = (
-        "the result is not what a link of this arm can be, so the log, its units or the rest of "
-        "the model are not what they are taken for"
-    )
-    TOO_WEAK = (
-        "the link's mass does not differ significantly from zero (it is less than two standard "
-        "errors); move faster, wider or longer ({excitation=optimal})"
-    )
-    NO_BETTER = (
-        "torques that were not fitted are predicted no better than the model does already; check "
-        "that the log belongs to this arm, its units and signs, or record a richer motion"
-    )
-    TORQUES_ONLY = (
-        "a part of the torque follows from nothing that was fitted: use the written model for "
-        "torques of motions like the log's, not for the numbers"
-    )
-    INERTIA_NOT_KNOWN = (
-        "mass and centre of mass are identified; the inertia is not known, a ball of aluminium of "
-        "that mass stands in its place (joints that swing the payload faster and wider show it)"
-    )
-    PARTLY_FROM_MODEL = (
-        "some parameter combinations are not identifiable from these torques and keep the model's "
-        "values; use {torques=chain}, or a longer or wider motion, to identify more"
-    )
-    BETTER = "the written model predicts torques that were not fitted clearly better than before"
-    AS_GOOD = (
-        "the model predicted torques that were not fitted about as well as noise allows before, "
-        "and so does the written one"
-    )
-    OK = "all requested parameters are identified from the data"
-
-    @property
-    def value(self) -> str:
-        """What it means, or what to do, with options named for the reader."""
-        return with_option_names(self._value_)
-
-    @property
-    def level(self) -> Level:
-        """Whether it forbids the use of a result, limits it, or only informs."""
-        if self is Verdict.TORQUES_ONLY:
-            return Level.DOUBTS
-        is_good = self in (
-            Verdict.OK,
-            Verdict.BETTER,
-            Verdict.AS_GOOD,
-            Verdict.PARTLY_FROM_MODEL,
-            Verdict.INERTIA_NOT_KNOWN,
-        )
-        return Level.SAYS if is_good else Level.REFUSES
-
-    @property
-    def is_trustworthy(self) -> bool:
-        """Whether the result may go into a model or a controller."""
-        return self.level is Level.SAYS
-
-    def remark(self, reason: str = "") -> Remark:
-        """Return the remark by which this verdict follows from a reason, one phrase."""
-        return Remark(self.level, self.name, *filter(None, (reason, self.value)))
-
-
-DATA = "data"
-"""Source of a number that follows from the recordings more than from the model."""
-MODEL = "model"
-"""Source of a number that the recordings determine less than the model, or not at all."""
-BOUND = "bound"
-"""Source of a number that is held at its bound, without a standard error."""
-FILE = "file"
-"""Source of a number of the written model, fitted under the restrictions of its format."""
-CURVED = "curved file"
-"""Source of a number of the written model whose friction bends with speed."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One number of a result: a row of params.json, of the console's tables and of the report.
-
-    Attributes:
-        name: what it is, such as "mass", "com_x", "Ixx_about_com", "coulomb" or "scale".
-        of: body, joint, motor or recording that has it; "arm" for what concerns all.
-        unit: of the three numbers.
-        model: the value in the original model; None where that has none.
-        value: the identified value.
-        error: standard error of ``value``, all causes together; infinite where the recordings do
-            not determine it, NaN where it is held at a bound, None of a simulation of the model
-            itself, which has rounding errors alone.
-        source: ``DATA``, ``MODEL``, ``BOUND``, ``FILE`` or ``CURVED``.
-        reason: the cause of most of the error, or why there is none.
-    """
-
-    name: str
-    of: str
-    unit: str
-    model: float | None
-    value: float
-    error: float | None
-    source: str = DATA
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class BodyEstimate(InertialParameters):
-    """The ten inertial parameters of one body, estimated, and their errors.
-
-    Attributes:
-        theta: (10,) the parameters, in the body's frame; of a payload in the flange frame.
-        name: name of the body.
-        covariance: (10, 10) covariance of the parameters' errors, all causes together; zero where
-            it is not known.
-        is_determined: (10,) whether data and priors determine a parameter at all.
-        budget: cause, "noise" of the torques first, to the standard errors (10,) due to it alone.
-        data_share: (10,) share of each value that comes from the data, 0 to 1; the model gives the
-            other share.
-        prior: the parameters in the model; None of a payload.
-    """
-
-    name: str
-    covariance: Array = field(default_factory=lambda: np.zeros((10, 10)))
-    is_determined: NDArray[np.bool_] = field(
-        default_factory=lambda: np.ones(10, dtype=bool)
-    )
-    budget: Mapping[str, Array] = field(default_factory=dict)
-    data_share: Array = field(default_factory=lambda: np.ones(10))
-    prior: InertialParameters | None = None
-
-    @property
-    def errors(self) -> Array:
-        """Standard errors (10,), all causes together; infinite where not determined."""
-        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return np.where(self.is_determined, errors, np.inf)
-
-    def moment_along(self, vector: Array) -> tuple[float, float]:
-        """Return the first moment along a vector (3,), and its standard error [kg m].
-
-        The error is infinite where the first moment is not determined.
-        """
-        direction = vector / max(float(np.linalg.norm(vector)), 1e-300)
-        variance = direction @ self.covariance[1:4, 1:4] @ direction
-        is_determined = np.all(self.is_determined[1:4])
-        error = float(np.sqrt(variance)) if is_determined else np.inf
-        return float(direction @ self.first_moment), error
-
-    def largest_cause(self, index: int) -> str:
-        """Return the cause of the largest part of a parameter's error; "" where that is not known.
-
-        ``index``: of the parameter, 0 for the mass.
-        """
-        causes = {cause: errors[index] for cause, errors in self.budget.items()}
-        if not np.all(np.isfinite([self.errors[index], *causes.values()])):
-            return ""
-        return max(causes, key=causes.__getitem__, default="")
-
-
-@dataclass(frozen=True)
-class ModelErrors:
-    """Torque prediction errors of two models on the same data.
-
-    Attributes:
-        before: of the original model, each joint's sensor offset removed.
-        after: of the written model, likewise.
-        before_as_used: of the original model, offsets counted as errors: no file holds them.
-        after_as_used: of the written model, likewise.
-    """
-
-    before: Validation
-    after: Validation
-    before_as_used: Validation
-    after_as_used: Validation
 
 
 @dataclass(frozen=True)
@@ -260,7 +72,7 @@ class NextMotion:
 
 
 @dataclass(frozen=True)
-class Elsewhere:
+class Elsewhere(Errors[MotionErrors]):
     """Torque errors to expect on motions that nobody recorded, all over the arm's range.
 
     They are root mean square over random motions, right within a factor of 1.5 in most cases.
@@ -269,8 +81,6 @@ class Elsewhere:
     Attributes:
         speed: highest speed of these motions.
         speed_unit: its unit.
-        before: of the original model.
-        after: of the written model.
         at_log_speeds: of the written model, on motions in which no joint is faster than in logs.
         log_speed: highest speed of these.
         faster: the joint that makes most of the error, if that comes from faster motions; else "".
@@ -283,8 +93,6 @@ class Elsewhere:
 
     speed: float
     speed_unit: str
-    before: MotionErrors
-    after: MotionErrors
     at_log_speeds: MotionErrors
     log_speed: float
     faster: str = ""
@@ -295,66 +103,62 @@ class Elsewhere:
 
 
 @dataclass(frozen=True)
-class CurvedFile(ModelErrors):
-    """What is said of the written model whose friction bends with speed.
+class ModelFile:
+    """What is said of a written model beside its numbers: its torque errors first of all.
 
-    Its numbers are the rows with the source ``CURVED``; all but friction is that of the other file.
-
-    Attributes:
-        others: errors on each of the other logs, held out as a whole.
-        elsewhere: errors to expect on other motions; None where nothing is promised.
-    """
-
-    others: tuple[ModelErrors, ...] = ()
-    elsewhere: Elsewhere | None = None
-
-
-@dataclass(frozen=True)
-class FrictionCurve:
-    """Friction of a joint that bends with speed, at three speeds.
+    Its numbers are the rows with the source ``FILE``, or ``CURVED`` where its friction bends with
+    speed, and the links ``Identification.thetas``.
 
     Attributes:
-        of: the joint, or a motor that turns several.
-        unit: of the torques.
-        speed_unit: of the speeds.
-        known_to: highest speed of the logs, up to which friction is known.
-        speeds: at which friction is stated, the last one ``known_to``.
-        model: friction in the original model.
-        torque: the identified friction.
-        errors: standard errors of the identified friction.
-    """
-
-    of: str
-    unit: str
-    speed_unit: str
-    known_to: float
-    speeds: tuple[float, ...]
-    model: tuple[float, ...]
-    torque: tuple[float, ...]
-    errors: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class ModelFile(ModelErrors):
-    """What is said of a written model beside its numbers: its held-out error first of all.
-
-    Its numbers are the rows with the source ``FILE`` and the links ``Identification.thetas``.
-
-    Attributes:
-        others: errors on each of the other logs, held out as a whole.
+        errors: on held-out data of the logs, then on each of the other logs as a whole.
         gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
         kept: names of what the file keeps ("friction", "gravity", "other links").
         motors: those that turn several joints; params.json has their numbers as rows.
-        curved: the file beside it whose friction bends with speed; None where no joint's does.
+        curved: the file beside it whose friction bends with speed and which has the same links,
+            gravity and motors; None where no joint's friction bends.
         elsewhere: errors to expect on other motions; None where nothing is promised.
     """
 
-    others: tuple[ModelErrors, ...] = ()
+    errors: tuple[ModelErrors, ...]
     gravity: Array | None = None
     kept: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = field(default=(), compare=False)
-    curved: CurvedFile | None = None
+    curved: ModelFile | None = None
     elsewhere: Elsewhere | None = None
+
+    @property
+    def held_out(self) -> ModelErrors:
+        """Errors on held-out data of the logs."""
+        return self.errors[0]
+
+    @property
+    def others(self) -> tuple[ModelErrors, ...]:
+        """Errors on each of the other logs."""
+        return self.errors[1:]
+
+    @property
+    def before(self) -> Validation:
+        """Held-out error of the original model, each joint's sensor offset removed."""
+        return self.held_out.before
+
+    @property
+    def after(self) -> Validation:
+        """Held-out error of the written model, likewise."""
+        return self.held_out.after
+
+    @property
+    def before_as_used(self) -> Validation:
+        """Held-out error of the original model, offsets counted as errors: no file holds them."""
+        return self.held_out.before_as_used
+
+    @property
+    def after_as_used(self) -> Validation:
+        """Held-out error of the written model, likewise."""
+        return self.held_out.after_as_used
+
+
+CurvedFile = ModelFile
+"""The file of ``ModelFile.curved``, by a name for annotations."""
 
 
 def needs_mjcf(rows: Iterable[Quantity], motors: Sequence[Coupling]) -> bool:
@@ -448,11 +252,7 @@ class Identification:
     @property
     def verdict(self) -> Verdict:
         """The verdict of the first remark of the highest level that has one; else ``OK``."""
-        for level in Level:
-            for remark in self.remarks:
-                if remark.level is level and remark.about in Verdict.__members__:
-                    return Verdict[remark.about]
-        return Verdict.OK
+        return verdict_of(self.remarks)
 
     def quantity(self, name: str, of: str, source: str = "") -> Quantity | None:
         """Return a number by its name and what has it; None where there is none.

@@ -6,14 +6,25 @@ A row is an entry of ``quantities``. Numbers have as many digits as make two of 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
 from robot_sysid.records.parameters import DELAY, SCALE, TILTS, ZERO
+from robot_sysid.records.quantities import (
+    BEYOND,
+    BODY,
+    BOUND,
+    CENTRAL,
+    CURVED,
+    DATA,
+    FILE,
+    MODEL,
+    WRITTEN,
+)
 from robot_sysid.results.content import Content
-from robot_sysid.results.quantities import BEYOND, BODY, CENTRAL
-from robot_sysid.results.record import BOUND, CURVED, DATA, FILE, MODEL, PAYLOAD
+from robot_sysid.results.record import PAYLOAD
 
 # Name of a quantity to its label in a table.
 _LABELS = {
@@ -37,6 +48,10 @@ _LEGEND = {
 }
 CURVE_PARTS = ("coulomb", "viscous", "bend")
 """Numbers that together make the friction of a joint that bends with speed."""
+MOST_PERCENT = 10.0
+"""Largest ratio of a change to the model's value that is stated in percent, 1000 %."""
+MOST_CHANGES = 4
+"""Number of the largest changes that are named."""
 KNOWN = 0.2
 """Relative standard error up to which a mass is known."""
 
@@ -105,35 +120,48 @@ def is_shown(row: Content) -> bool:
     return row["source"] != MODEL or row["error"] is not None
 
 
-def change(row: Content) -> str:
+class Difference(NamedTuple):
+    """How a value differs from the model's.
+
+    Attributes:
+        text: in words.
+        is_clear: whether it is larger than its standard error.
+        unit: of a number in the text; "" of a percentage.
+    """
+
+    text: str
+    is_clear: bool
+    unit: str = ""
+
+
+def change(row: Content) -> Difference:
     """Return how a value has changed, with "prior" where most of it comes from the model."""
     if not is_shown(row):
-        return "not identifiable"
+        return Difference("not identifiable", False)
     if row["source"] == BOUND:
-        return "at its bound"
+        return Difference("at its bound", False)
     difference = _difference(row)
     if row["source"] != MODEL:
         return difference
-    is_prior_alone = difference in ("", "none", _WITHIN)
-    return "prior" if is_prior_alone else f"{difference}, prior"
+    text = f"{difference.text}, prior" if difference.is_clear else "prior"
+    return difference._replace(text=text)
 
 
-def _difference(row: Content) -> str:
+def _difference(row: Content) -> Difference:
     """Return a change as a percentage where that is below 1000 %, else as a number."""
     before, after, error = row["model"], row["value"], row["error"]
     if before is None:
-        return ""
+        return Difference("", False)
     difference = after - before
-    # Models are written to 1e-9.
-    if abs(difference) <= 1e-9 * abs(before):
-        return "none"
+    if abs(difference) <= WRITTEN * abs(before):
+        return Difference("none", False)
     if error is not None and abs(difference) <= error:
-        return _WITHIN
+        return Difference(_WITHIN, False)
     sign = "+" if difference > 0.0 else ""
-    if before * after > 0.0 and abs(difference / before) <= 10.0:
+    if before * after > 0.0 and abs(difference / before) <= MOST_PERCENT:
         ratio = difference / before
-        return f"{'+' if ratio > 0.0 else ''}{percent(ratio)}"
-    return f"{sign}{number_text(difference, error)}"
+        return Difference(f"{'+' if ratio > 0.0 else ''}{percent(ratio)}", True)
+    return Difference(f"{sign}{number_text(difference, error)}", True, row["unit"])
 
 
 def number_with_error(row: Content) -> str:
@@ -154,7 +182,7 @@ def cells(row: Content, title: str = "") -> tuple[str, ...]:
     after = number_text(row["value"], error)
     plus_minus = "" if error is None else number_text(error, error)
     unit = row["unit"]
-    return (title or label(row), before, after, plus_minus, unit, change(row))
+    return (title or label(row), before, after, plus_minus, unit, change(row).text)
 
 
 def shown_columns(rows: Iterable[Sequence[str]], title: str) -> list[tuple[str, ...]]:
@@ -228,9 +256,10 @@ def largest_changes(content: Content) -> Iterator[str]:
         if is_wanted and row["model"] is not None:
             size = abs(row["value"] - row["model"]) / row["error"]
             if size >= INTERVAL:
-                text = f"{label(row)} of {row['of']} {change(row)}"
-                unit = "" if text.endswith("%") else f" {row['unit']}"
+                difference = change(row)
+                text = f"{label(row)} of {row['of']} {difference.text}"
+                unit = f" {difference.unit}" if difference.unit else ""
                 changes.append((size, f"{text}{unit}"))
-    largest = [text for _, text in sorted(changes, reverse=True)[:4]]
+    largest = [text for _, text in sorted(changes, reverse=True)[:MOST_CHANGES]]
     if largest:
         yield f"Changed most, compared with the errors: {', '.join(largest)}"

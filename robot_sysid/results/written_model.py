@@ -38,8 +38,9 @@ from robot_sysid.model.units import with_mass_scale
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import with_error
+from robot_sysid.records.quantities import FILE
 from robot_sysid.results import verification
-from robot_sysid.results.record import FILE, Identification, ModelTarget, Payload
+from robot_sysid.results.record import Identification, ModelTarget, Payload
 
 
 def can_bend() -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
 from robot_sysid.mjcf.updated_model import ElementChange
 from robot_sysid.records import Array, DataOrigin, RobotModel, file_access
-from robot_sysid.results.record import DATA, MODEL, Quantity
+from robot_sysid.records.quantities import DATA, MODEL, Quantity
 from robot_sysid.results.table import cells, label, table_lines
 from robot_sysid.results.written_model import versions
 from robot_sysid.servo.fit import LINK_ERROR, ServoFit

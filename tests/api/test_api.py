@@ -19,7 +19,7 @@ from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Recording
 from robot_sysid.report.runs import load_run
-from robot_sysid.results.record import ModelErrors, Verdict
+from robot_sysid.results.verdicts import Verdict
 
 
 @pytest.fixture(scope="module")
@@ -142,9 +142,9 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     def errors_on(fitted, recordings, source):
         tests = (results.validation_of(e, source, relative=e) for e in (0.13, 0.21))
         before, after = tests
-        return ModelErrors(before, after, before, after)
+        return results.errors_from(before, after, before, after)
 
-    monkeypatch.setattr("robot_sysid.estimate.restricted_fit.errors_on", errors_on)
+    monkeypatch.setattr("robot_sysid.results.identification.errors_on", errors_on)
     other = log[:1200]
     worse = rs.identify(model, workshop / "log.csv", validation_measurements=other)
     assert worse.verdict is Verdict.NO_BETTER

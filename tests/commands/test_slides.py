@@ -16,11 +16,11 @@ from rigs.measured_logs import log_of, plan_of
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.faults import explanations
 from robot_sysid.diagnosis.gate import slow_findings
-from robot_sysid.estimate.trust import implausible_joints
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.fault_names import FaultName
-from robot_sysid.results.record import Quantity
+from robot_sysid.records.quantities import Quantity
+from robot_sysid.results.reasons import impossible_joints
 
 FRICTION = 'frictionloss=".3" damping=".2" armature=".05"'
 ARM = arms.world(
@@ -98,8 +98,8 @@ def test_findings_and_doubts_about_a_slide_have_its_units(robot):
     assert finding.text == "no joint moves faster than 0.02 m/s"
     rows = [Quantity("coulomb", "lift", "N", None, 900.0, 0.1)]
     torque = dict.fromkeys(robot.joint_names, 1.0)
-    (remark,) = implausible_joints(with_limit(robot), rows, torque)
-    assert "lift would have 900 N of dry friction" in remark.text
+    (reason,) = impossible_joints(with_limit(robot), rows, torque)
+    assert "lift would have 900 N of dry friction" in reason
 
 
 def with_limit(robot):

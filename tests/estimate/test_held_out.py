@@ -12,10 +12,11 @@ from rigs.measured_logs import XML, log_of, plan_of
 from robot_sysid.estimate.held_out import (
     held_out_logs,
     is_clearly_lower,
-    predicted,
+    prediction_error,
     validation,
 )
-from robot_sysid.estimate.trust import find_misfits
+from robot_sysid.estimate.trust import misfit_ratio, odd_joints
+from robot_sysid.records.levels import SURE
 
 BLOCKS = np.array([1.0, 2.0, 0.5, 1.0, 1.5])
 
@@ -68,11 +69,11 @@ def other_logs(plant):
 
 def test_another_log_is_predicted_down_to_its_noise(robot, noisy_fit, other_logs):
     log, _ = other_logs
-    test = predicted(noisy_fit, filter_logs(robot, log), "other.csv")
+    test = prediction_error(noisy_fit, filter_logs(robot, log), "other.csv")
     assert test.source == "other.csv"
     assert test.rmse < 1.3 * np.sqrt(np.mean(noisy_fit.noise**2))
     scaled = filter_logs(robot, replace(log, tau=1.2 * log.tau))
-    worse = predicted(noisy_fit, scaled, "scaled.csv")
+    worse = prediction_error(noisy_fit, scaled, "scaled.csv")
     assert worse.relative_error > 3.0 * test.relative_error
 
 
@@ -86,7 +87,7 @@ def test_only_another_body_is_informative_where_a_joints_friction_is_unknown(
     fitted = fit_recordings(robot, [recording.only(kept)])
     is_informative = []
     for log in other_logs:
-        test = predicted(fitted, filter_logs(robot, log), "other.csv")
+        test = prediction_error(fitted, filter_logs(robot, log), "other.csv")
         is_informative.append(test.is_informative)
     assert is_informative == [is_moving, True]
 
@@ -143,4 +144,7 @@ def test_a_log_in_which_a_joint_stood_still_does_not_speak_against_the_next(
     np.testing.assert_array_equal(fitted.normal_without(of_second), alone)
     for test in held_out_logs(fitted):
         assert test.relative_error < 0.1
-    assert not [*find_misfits(fitted, [validation(fitted), *held_out_logs(fitted)])]
+    for test in (validation(fitted), *held_out_logs(fitted)):
+        assert misfit_ratio(fitted, test) <= SURE
+    independent = dict(zip(fitted.arm.joints, 1.0 / fitted.correlation))
+    assert not [*odd_joints(fitted.noise_per_joint, fitted.torque, independent)]

@@ -23,7 +23,7 @@ from robot_sysid.motion.promise import (
     with_promise,
 )
 from robot_sysid.records import Motion, Recording
-from robot_sysid.results.record import Verdict
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.solver import exact_recording
 

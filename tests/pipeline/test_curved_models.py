@@ -20,18 +20,18 @@ from rigs.releases import since
 from robot_sysid.dynamics.friction import BEND, polynomial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SysidError
+from robot_sysid.estimate.quantities import friction_in
 from robot_sysid.estimate.restricted_fit import (
     bent_owners,
     errors_of,
     fit_file,
     straight_of,
 )
-from robot_sysid.estimate.result import friction_in
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import CURVED_NAME, MODEL_NAMES
+from robot_sysid.records.quantities import CURVED, FILE
 from robot_sysid.results import written_model
-from robot_sysid.results.record import CURVED, FILE
 from robot_sysid.servo import refuse_bends
 from robot_sysid.simulation.usual_arm import usual_arm
 

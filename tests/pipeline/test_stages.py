@@ -18,15 +18,11 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline.stages import (
-    run,
-    run_self_test,
-    self_test_verdict,
-    step_after_run,
-)
+from robot_sysid.pipeline.stages import run, run_self_test, step_after_run
 from robot_sysid.records import ITSELF, Motion
-from robot_sysid.results.quantities import BEYOND, MOMENT
-from robot_sysid.results.record import NextMotion, Quantity, Verdict
+from robot_sysid.records.quantities import BEYOND, MOMENT, Quantity
+from robot_sysid.results.record import NextMotion
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.trajectory import CHUNK
 
 XML = arms.serial_arm(
@@ -155,26 +151,6 @@ def test_the_models_own_values_come_back_with_where_they_are_from(torques, frict
     data = result.data
     origin = data.description, data.duration, data.sample_rate, data.seed
     assert origin == (ITSELF, plan.duration, 500.0, 7)
-
-
-@pytest.mark.parametrize(
-    ("scale", "error", "rank", "expected"),
-    [
-        (1.0, 0.49, 12, Verdict.OK),
-        (1.0, 0.51, 12, Verdict.TOO_WEAK),
-        (1.0, 0.51, 11, Verdict.TOO_WEAK),
-        (1.0, 0.49, 11, Verdict.PARTLY_FROM_MODEL),
-        (1.0, np.inf, 11, Verdict.PARTLY_FROM_MODEL),
-        # An error that a scale would not show is never too large.
-        (1e-9, 0.9e-6, 12, Verdict.OK),
-        (1e-9, 1.1e-6, 12, Verdict.TOO_WEAK),
-    ],
-)
-def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
-    scale, error, rank, expected
-):
-    quality = replace(results.QUALITY, unidentifiable=("mass",) * (12 - rank))
-    assert self_test_verdict(scale, error, quality) is expected
 
 
 def test_a_second_motion_is_proposed_where_it_makes_the_file_better():

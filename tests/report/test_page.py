@@ -15,7 +15,7 @@ from robot_sysid.report import studio
 from robot_sysid.report.drawing import COLOURS
 from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run
-from robot_sysid.results.record import Verdict
+from robot_sysid.results.verdicts import Verdict
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

@@ -15,8 +15,8 @@ from rigs.arms import SEEDS
 from rigs.bodies import SHAPES, body_estimate, card_of, random_body
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
+from robot_sysid.records.quantities import load_errors
 from robot_sysid.results.cards import number_groups
-from robot_sysid.results.quantities import load_errors
 
 EXACT = np.eye(10) * 1e-40
 """Covariance of a body that is known to the last digit."""

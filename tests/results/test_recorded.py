@@ -10,7 +10,7 @@ from rigs.recorded_results import FOLDER, RECORDED, RESULTS
 from robot_sysid.records.messages import Level
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines, verdict_line
-from robot_sysid.results.record import Verdict
+from robot_sysid.results.verdicts import Verdict
 
 
 @pytest.mark.parametrize("name", RECORDED)

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from rigs import results as made
 from robot_sysid.records.file_access import strict_json
-from robot_sysid.results.quantities import body_quantities
-from robot_sysid.results.record import DATA, MODEL, Quantity
+from robot_sysid.records.quantities import DATA, MODEL, Quantity, body_quantities
 from robot_sysid.results.table import cells
 
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from rigs.arms import SEEDS
 from rigs.bodies import body_estimate, random_body
 from robot_sysid import spatial
-from robot_sysid.results.quantities import (
+from robot_sysid.records.quantities import (
     CENTRAL,
     is_inertia_known,
     load_errors,

@@ -12,9 +12,12 @@ from rigs.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
 from rigs.measured_logs import XML, log_of, plan_of
 from robot_sysid import spatial
 from robot_sysid.estimate.restricted_fit import fit_file
-from robot_sysid.estimate.result import link_result, traces_of
 from robot_sysid.records.messages import Level
-from robot_sysid.results.record import FILE, LINK, Verdict
+from robot_sysid.records.quantities import FILE
+from robot_sysid.results.identification import link_result
+from robot_sysid.results.record import LINK
+from robot_sysid.results.traces import traces_of
+from robot_sysid.results.verdicts import Verdict
 
 
 def fits_of(robot, log, **options):

@@ -7,16 +7,134 @@ centre of mass, of the inertia about it and of principal axes follow from those 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid import spatial
-from robot_sysid.records import Array, InertialParameters
+from robot_sysid.records.arm import InertialParameters
+from robot_sysid.records.arrays import Array
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.parameters import INERTIAL, Parameter
-from robot_sysid.results.record import DATA, MODEL, BodyEstimate, Quantity
+
+DATA = "data"
+"""Source of a number that follows from the recordings more than from the model."""
+MODEL = "model"
+"""Source of a number that the recordings determine less than the model, or not at all."""
+BOUND = "bound"
+"""Source of a number that is held at its bound, without a standard error."""
+FILE = "file"
+"""Source of a number of the written model, fitted under the restrictions of its format."""
+CURVED = "curved file"
+"""Source of a number of the written model whose friction bends with speed."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of a result: a row of params.json, of the console's tables and of the report.
+
+    Attributes:
+        name: what it is, such as "mass", "com_x", "Ixx_about_com", "coulomb" or "scale".
+        of: body, joint, motor or recording that has it; "arm" for what concerns all.
+        unit: of the three numbers.
+        model: the value in the original model; None where that has none.
+        value: the identified value.
+        error: standard error of ``value``, all causes together; infinite where the recordings do
+            not determine it, NaN where it is held at a bound, None of a simulation of the model
+            itself, which has rounding errors alone.
+        source: ``DATA``, ``MODEL``, ``BOUND``, ``FILE`` or ``CURVED``.
+        reason: the cause of most of the error, or why there is none.
+    """
+
+    name: str
+    of: str
+    unit: str
+    model: float | None
+    value: float
+    error: float | None
+    source: str = DATA
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class BodyEstimate(InertialParameters):
+    """The ten inertial parameters of one body, estimated, and their errors.
+
+    Attributes:
+        theta: (10,) the parameters, in the body's frame; of a payload in the flange frame.
+        name: name of the body.
+        covariance: (10, 10) covariance of the parameters' errors, all causes together; zero where
+            it is not known.
+        is_determined: (10,) whether data and priors determine a parameter at all.
+        budget: cause, "noise" of the torques first, to the standard errors (10,) due to it alone.
+        data_share: (10,) share of each value that comes from the data, 0 to 1; the model gives the
+            other share.
+        prior: the parameters in the model; None of a payload.
+    """
+
+    name: str
+    covariance: Array = field(default_factory=lambda: np.zeros((10, 10)))
+    is_determined: NDArray[np.bool_] = field(
+        default_factory=lambda: np.ones(10, dtype=bool)
+    )
+    budget: Mapping[str, Array] = field(default_factory=dict)
+    data_share: Array = field(default_factory=lambda: np.ones(10))
+    prior: InertialParameters | None = None
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors (10,), all causes together; infinite where not determined."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.where(self.is_determined, errors, np.inf)
+
+    def moment_along(self, vector: Array) -> tuple[float, float]:
+        """Return the first moment along a vector (3,), and its standard error [kg m].
+
+        The error is infinite where the first moment is not determined.
+        """
+        direction = vector / max(float(np.linalg.norm(vector)), 1e-300)
+        variance = direction @ self.covariance[1:4, 1:4] @ direction
+        is_determined = np.all(self.is_determined[1:4])
+        error = float(np.sqrt(variance)) if is_determined else np.inf
+        return float(direction @ self.first_moment), error
+
+    def largest_cause(self, index: int) -> str:
+        """Return the cause of the largest part of a parameter's error; "" where that is not known.
+
+        ``index``: of the parameter, 0 for the mass.
+        """
+        causes = {cause: errors[index] for cause, errors in self.budget.items()}
+        if not np.all(np.isfinite([self.errors[index], *causes.values()])):
+            return ""
+        return max(causes, key=causes.__getitem__, default="")
+
+
+@dataclass(frozen=True)
+class FrictionCurve:
+    """Friction of a joint that bends with speed, at three speeds.
+
+    Attributes:
+        of: the joint, or a motor that turns several.
+        unit: of the torques.
+        speed_unit: of the speeds.
+        known_to: highest speed of the logs, up to which friction is known.
+        speeds: at which friction is stated, the last one ``known_to``.
+        model: friction in the original model.
+        torque: the identified friction.
+        errors: standard errors of the identified friction.
+    """
+
+    of: str
+    unit: str
+    speed_unit: str
+    known_to: float
+    speeds: tuple[float, ...]
+    model: tuple[float, ...]
+    torque: tuple[float, ...]
+    errors: tuple[float, ...]
+
 
 _CENTRAL = (
     Parameter("mass", "mass", ("kg",)),
@@ -34,6 +152,8 @@ _MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 BODY = (*_CENTRAL, *INERTIAL[1:])
 """What a body's rows are: mass, centre of mass, inertia about it; then what torques are linear in,
 first moments and inertia about the origin of the body's frame."""
+WRITTEN = 1e-9
+"""Relative rounding error of numbers in a written model."""
 PRIOR_SHARE = 0.5
 """Share of a value that comes from the data below which the model's prior dominates."""
 BEYOND = "beyond the model"
@@ -125,8 +245,7 @@ def without_rounding(values: Array, scale: Array | float) -> Array:
         values: numbers of any shape.
         scale: size of a large value, in the unit of the values and of a shape that fits theirs.
     """
-    # Models are written to 1e-9.
-    return np.where(np.abs(values) < 1e-9 * scale, 0.0, values)
+    return np.where(np.abs(values) < WRITTEN * scale, 0.0, values)
 
 
 def _numbers(body: InertialParameters) -> list[float]:

@@ -1,4 +1,4 @@
-"""From fits to what was identified: bodies, joints, sensors, model file, verdict, notes, traces.
+"""From fits to rows: the numbers of bodies, joints, motors, sensors and of the model file.
 
 Shapes: n joints of the chain, J joints with equations; k estimated parameters; a body has ten
 inertial parameters (``PARAMETER_NAMES``).
@@ -9,92 +9,41 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
-from functools import partial
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.dynamics.friction import BEND, OFFSET, POLYNOMIAL, ROTOR, TERMS
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.choose import fastest_of, speeds_in
-from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import fit_quality, square_root
-from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
-from robot_sysid.estimate.restricted_fit import (
-    bent_owners,
-    error_without_rotors,
-    gravity_in,
-    model_file,
-    straight_of,
-)
-from robot_sysid.estimate.rows import row_chunks
+from robot_sysid.estimate.restricted_fit import bent_owners
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
     LAST_LINK,
     MOTORS,
     PAYLOAD,
-    PAYLOAD_NAMES,
-    ZEROS,
     ArmTerms,
     Term,
 )
-from robot_sysid.estimate.trust import (
-    find_misfits,
-    implausible_joints,
-    implausible_link,
-    judge_files,
-    missed_friction,
-    unexplained_torque,
-    wrong_links,
-)
-from robot_sysid.records import (
-    Array,
-    DataOrigin,
-    FitQuality,
-    InertialParameters,
-    Validation,
-)
-from robot_sysid.records.data import Traces
-from robot_sysid.records.file_access import MODEL_NAMES
-from robot_sysid.records.levels import SURE, UNEXPLAINED
-from robot_sysid.records.messages import (
-    Remark,
-    percent,
-    position_unit,
-    says,
-    torque_unit,
-)
+from robot_sysid.records import Array, FitQuality, InertialParameters
+from robot_sysid.records.messages import position_unit, torque_unit
 from robot_sysid.records.parameters import INERTIAL
-from robot_sysid.records.usual_errors import FRICTION_CHANGE
-from robot_sysid.results.quantities import (
+from robot_sysid.records.quantities import (
     BEYOND,
+    BOUND,
+    DATA,
+    MODEL,
     MOMENT,
     NOT_SHOWN,
     PRIOR_SHARE,
-    body_quantities,
-)
-from robot_sysid.results.record import (
-    BOUND,
-    CURVED,
-    DATA,
-    FILE,
-    LINK,
-    MODEL,
     BodyEstimate,
     FrictionCurve,
-    Identification,
-    ModelFile,
     Quantity,
-    Verdict,
-    needs_mjcf,
+    body_quantities,
 )
-from robot_sysid.results.verification import CHECKPOINTS
-from robot_sysid.signals.process import FilteredRecording
-from robot_sysid.wording import option_setting
+from robot_sysid.records.usual_errors import FRICTION_CHANGE
 
 # Causes that are of joints and their motors.
 _OF_JOINTS = (FRICTION, MOTORS)
@@ -103,88 +52,6 @@ FURTHER = "further_"
 CURVE_SHARES = (0.1, 0.4, 1.0)
 """Speeds at which friction that bends is stated, over the highest one of the logs: where most of
 it is dry, in the bend, and at the end of what is known."""
-
-
-def link_result(
-    fitted: Fit,
-    file: Fit,
-    tests: Sequence[Validation],
-    origin: DataOrigin,
-    notes: Sequence[str] = (),
-    others: Sequence[tuple[Sequence[FilteredRecording], str]] = (),
-) -> Identification:
-    """Return the result for an arm from recordings without a payload.
-
-    Its remarks are reasons against the fit, the links or the model file first. Where too much
-    torque is unexplained (``UNEXPLAINED``), or the given friction model misses terms that the
-    torques show, its verdict is never better than ``Verdict.TORQUES_ONLY``.
-
-    Args:
-        fitted: the fit of all terms.
-        file: the fit of the model file, whose friction may bend.
-        tests: errors of the fit on logs that were not fitted.
-        origin: where the recordings come from.
-        notes: sentences for the user so far.
-        others: the same logs, low-passed, and their names.
-    """
-    robot = fitted.arm.robot
-    first = fitted.recordings[0]
-    samples = np.linspace(0, len(first.time) - 1, CHECKPOINTS).astype(int)
-    tests = (validation(fitted), *tests, *held_out_logs(fitted))
-    links = link_estimates(fitted, file)
-    *other_links, last_link = links
-    rows = [*fit_quantities(fitted, file, links), *beyond_model(last_link)]
-    written = model_file(file, others)
-    judgement, *on_others = judge_files(written, fitted.arm.model_bends)
-    missed = missed_friction(fitted)
-    share = fitted.unexplained_share
-    sentence = unexplained_torque(fitted)
-    doubts = filter(None, (sentence if share > UNEXPLAINED else "", missed))
-    # A file that clearly predicts better is written all the same, for torques only.
-    is_better = judgement.about == Verdict.BETTER.name
-    verdict = Verdict.TORQUES_ONLY if is_better else Verdict.UNEXPLAINED
-    remarks = [*find_misfits(fitted, tests), *implausible_link(robot, last_link)]
-    remarks += implausible_joints(robot, rows, fitted.torque)
-    remarks += [judgement, *map(verdict.remark, doubts)]
-    remarks += on_others
-    # Links that took up the torque of missed friction say nothing of the model's.
-    is_kept = FILE_LINKS in written.kept
-    remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
-    remarks += () if missed else wrong_links(other_links, remedy)
-    return result_of(
-        fitted,
-        file,
-        links,
-        rows,
-        remarks,
-        [*notes, *_link_notes(fitted)],
-        question=LINK,
-        data=origin,
-        total=last_link,
-        standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
-        file=written,
-        validation=tests,
-        checkpoints=first.samples(samples),
-        traces=partial(traces_of, file),
-    )
-
-
-def _link_notes(fitted: Fit) -> Iterator[str]:
-    """Yield sentences on coarse positions, the bodies of the last link, and unexplained torque."""
-    error = max(recording.acceleration_error for recording in fitted.recordings)
-    # From a fifth of the acceleration on, it is said.
-    if error > 0.2:
-        yield (
-            "the positions are too coarse or too seldom to have accelerations (expected error "
-            f"{percent(error)}): rotors and inertias come out too small"
-        )
-    robot = fitted.arm.robot
-    bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
-    if len(bodies) > 1:
-        yield f"the numbers of {robot.body_name} are those of {' + '.join(bodies)} together"
-    # Logs of right models leave up to 3 %.
-    if 0.035 < fitted.unexplained_share <= UNEXPLAINED:
-        yield unexplained_torque(fitted)
 
 
 def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
@@ -200,58 +67,6 @@ def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
     moment, error = beyond.moment_along(beyond.first_moment)
     yield Quantity(MOMENT, BEYOND, INERTIAL[1].unit, None, moment, error)
     yield from itertools.islice(body_quantities(beyond), 4)
-
-
-def result_of(
-    fitted: Fit,
-    file_fit: Fit | None,
-    links: Iterable[BodyEstimate],
-    rows: Iterable[Quantity],
-    remarks: Iterable[Remark],
-    notes: Iterable[str],
-    **fields: Any,
-) -> Identification:
-    """Return the result of recordings: its own rows, remarks and notes, then those of the file.
-
-    Args:
-        fitted: the fit of all terms.
-        file_fit: the fit of the model file; None where that has the links as they are.
-        links: those that were estimated.
-        rows: identified numbers.
-        remarks: reasons against the result, or for it.
-        notes: sentences for the user so far.
-        fields: further fields of the result, by name.
-    """
-    robot = fitted.arm.robot
-    thetas = robot.thetas
-    file_rows: list[Quantity] = []
-    sentences = [*robot.notes, *notes]
-    curves: list[FrictionCurve] = []
-    if file_fit is not None:
-        straight = straight_of(file_fit)
-        thetas = file_fit.thetas
-        file_rows += file_quantities(fitted, straight, FILE)
-        sentences += file_notes(fitted, straight, file_rows)
-        if straight is not file_fit:
-            file_rows += file_quantities(fitted, file_fit, CURVED)
-            curves += friction_curves(fitted, file_fit)
-            sentences += curve_notes(fields["file"], curves)
-    sentences += result_notes(fitted, file_fit)
-    return Identification(
-        robot=robot,
-        quality=_quality(fitted),
-        torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
-        thetas=thetas,
-        quantities=(*rows, *file_rows),
-        remarks=(*remarks, *says(sentences)),
-        links={link.name: link for link in links},
-        curves=tuple(curves),
-        tops={owner: fitted.arm.top_of(owner) for owner in fitted.arm.owners},
-        friction_model="-".join(fitted.question.friction) or "none",
-        cutoff=fitted.recordings[0].cutoff,
-        link_scales=asdict(fitted.question.link_scales),
-        **fields,
-    )
 
 
 def fit_quantities(
@@ -467,7 +282,7 @@ def sensors(fitted: Fit) -> Iterator[Quantity]:
     return term_quantities(fitted, others)
 
 
-def _quality(fitted: Fit) -> FitQuality:
+def quality_of(fitted: Fit) -> FitQuality:
     """Return what the equations determine, and how well they are fitted.
 
     Determined are parameters of interest: those of the terminal link, a payload, friction.
@@ -484,31 +299,6 @@ def _quality(fitted: Fit) -> FitQuality:
     return fit_quality(
         square_root(normal), names, sums.joints, squares, counts, fitted.noise_per_joint
     )
-
-
-def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
-    """Yield sentences on what a fitted model file, of these rows, leaves out."""
-    robot = fitted.arm.robot
-    # Of joints without torque, the log says it.
-    has_torque = np.any([each.has_torque for each in fitted.recordings], axis=0)
-    powered = itertools.compress(robot.joint_names, has_torque)
-    written = {row.of for row in rows}
-    unseen = [joint for joint in powered if joint not in written]
-    if unseen and FILE_FRICTION not in fitted.question.options.kept:
-        yield (
-            f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
-            "identifiable there, the model's values are kept"
-        )
-    yield from _offset_notes(file)
-    if robot.kind == "urdf" and needs_mjcf(rows, fitted.arm.motors):
-        tests = validation(file), error_without_rotors(file)
-        shares = [percent(test.relative_error or 0.0) for test in tests]
-        yield (
-            f"{MODEL_NAMES['urdf']} has the links and the friction of {MODEL_NAMES['mjcf']}, so "
-            f"that it holds the arm up as well; in motion its torque error is {shares[1]}, that of "
-            f"{MODEL_NAMES['mjcf']} {shares[0]}: most readers of URDF know neither rotor inertia, "
-            "which stands in its transmissions, nor motors that turn several joints"
-        )
 
 
 def friction_sum(columns: Mapping[str, Array], values: Mapping[str, float]) -> Array:
@@ -570,100 +360,3 @@ def file_quantities(fitted: Fit, file: Fit, source: str) -> Iterator[Quantity]:
             error = quantity(fitted, name)[1] if is_estimated else math.nan
             unit = rotor_parameter.unit
             yield Quantity(ROTOR.name, owner, unit, model_rotor, rotor, error, source)
-
-
-def curve_notes(file: ModelFile, curves: Sequence[FrictionCurve]) -> Iterator[str]:
-    """Yield sentences on friction that bends: what each file has of it, and how far it is known."""
-    speeds = ", ".join(f"{c.of} {c.known_to:.2g} {c.speed_unit}" for c in curves)
-    assert file.curved is not None
-    shares = [percent(f.after.relative_error or 0.0) for f in (file, file.curved)]
-    yield (
-        f"friction of {', '.join(c.of for c in curves)} bends with speed: {MODEL_NAMES['mjcf']} "
-        f"has the straight line nearest to it ({shares[0]} torque error on held-out data, torque "
-        f"offsets aside), the curve itself makes {shares[1]}"
-    )
-    yield f"friction is known up to the highest speeds of the logs: {speeds}"
-
-
-def _offset_notes(file: Fit) -> Iterator[str]:
-    """Yield a sentence on torque offsets that are larger than a fitted file's held-out error."""
-    squares = 0.0
-    phrases = []
-    for row, parameter in enumerate(file.arm.terms[OFFSET.name].parameters):
-        if parameter.key in file.names:
-            offset, error = quantity(file, parameter.key)
-            if abs(offset) > SURE * error:
-                squares += offset**2 * np.sum(file.sums.counts[:, row])
-                phrases.append(f"{parameter.of} {offset:.2g} {parameter.unit}")
-    squared = squares / np.sum(file.sums.squared_torque)
-    share = validation(file).relative_error or 0.0
-    if squared > max(LITTLE, share) ** 2:
-        yield (
-            f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
-            "that is larger in one direction: counted as errors, they make the torque error of the "
-            f"written file on held-out data {percent(np.sqrt(squared + share**2))}"
-        )
-
-
-def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
-    """Yield sentences for the user on friction, motors, encoder zeros and gravity."""
-    left_out = fitted.question.options.left_out_terms
-    if left_out:
-        yield f"not estimated, as the friction model is given without: {', '.join(left_out)}"
-    for motor in fitted.arm.motors:
-        if motor.tendon is None:
-            yield f"a motor turns with {motor.name}: the torques give clear evidence of it"
-    for parameter in fitted.arm.terms[ZEROS].parameters:
-        if parameter.key not in fitted.names:
-            continue
-        zero, error = quantity(fitted, parameter.key)
-        # A small one is not worth a note, even if it is significant.
-        if abs(zero) > max(SURE * error, 1e-3):
-            yield (
-                f"the log reads {parameter.of} {1e3 * zero:.1f} ± {1e3 * error:.1g} "
-                f"m{parameter.unit} too large; the links are those of the true positions"
-            )
-    gravity = None if file is None else gravity_in(file)
-    level = gravity_vector(fitted.arm.robot)
-    if gravity is not None and np.any(gravity != level):
-        sine = np.linalg.norm(np.cross(level, gravity))
-        angle = math.degrees(math.atan2(sine, level @ gravity))
-        yield (
-            f"gravity in the written model is turned by {angle:.2f} degrees, because the base is "
-            f"tilted or encoder zeros are off ({option_setting('keep', 'gravity')} leaves it "
-            "alone)"
-        )
-
-
-def traces_of(fitted: Fit) -> Traces:
-    """Return the measured torques, and the predictions of a fit and of the given model.
-
-    Both predictions contain the estimated offsets of the torque sensors. With a payload, the second
-    prediction is that of the fit without the payload.
-    """
-    arm = fitted.arm
-    values = fitted.by_name
-    model = dict(arm.model)
-    if fitted.question.loaded:
-        model = {**values, **dict.fromkeys(PAYLOAD_NAMES, 0.0)}
-    model.update((name, values[name]) for name in arm.terms[OFFSET.name].names)
-    friction = {
-        name: values[name]
-        for term in fitted.equations.terms
-        if term.cause == FRICTION and term.key != "armature"
-        for name in term.names
-    }
-    chunks = []
-    for recording in fitted.recordings:
-        for rows in row_chunks(recording, 36 * arm.robot.n_joints):
-            signals = (
-                rows.motion.time,
-                rows.motion.qd[:, arm.indices],
-                arm.measured(rows),
-                arm.torque(rows, fitted.point, values),
-                arm.torque(rows, fitted.point, model),
-                arm.torque(rows, fitted.point, friction) - arm.known(rows),
-            )
-            chunks.append(signals)
-    is_slide = tuple(arm.robot.is_slide[arm.indices].tolist())
-    return Traces(arm.joints, is_slide, *map(np.concatenate, zip(*chunks)))

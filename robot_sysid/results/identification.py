@@ -1,0 +1,230 @@
+"""The result for an arm: its numbers, verdict and notes, from the fit of all terms and of the file.
+
+Shapes: n joints of the chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+
+import numpy as np
+
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.held_out import held_out_logs, validation
+from robot_sysid.estimate.quantities import (
+    beyond_model,
+    file_quantities,
+    fit_quantities,
+    friction_curves,
+    link_estimates,
+    quality_of,
+)
+from robot_sysid.estimate.restricted_fit import (
+    errors_of,
+    errors_on,
+    gravity_in,
+    offsets_of_model,
+    straight_of,
+)
+from robot_sysid.estimate.trust import missed_friction
+from robot_sysid.records import DataOrigin, Motion, Traces, Validation
+from robot_sysid.records.messages import Remark, says
+from robot_sysid.records.quantities import (
+    CURVED,
+    FILE,
+    BodyEstimate,
+    FrictionCurve,
+    Quantity,
+)
+from robot_sysid.results.notes import (
+    curve_notes,
+    file_notes,
+    link_notes,
+    result_notes,
+    wrong_links,
+)
+from robot_sysid.results.record import LINK, PAYLOAD, Identification, ModelFile, Payload
+from robot_sysid.results.rules import OF_ARM, ArmEvidence
+from robot_sysid.results.traces import traces_of
+from robot_sysid.results.verdicts import judge
+from robot_sysid.results.verification import CHECKPOINTS
+from robot_sysid.signals.process import FilteredRecording
+
+
+def link_result(
+    fitted: Fit,
+    file: Fit,
+    tests: Sequence[Validation],
+    origin: DataOrigin,
+    notes: Sequence[str] = (),
+    others: Sequence[tuple[Sequence[FilteredRecording], str]] = (),
+) -> Identification:
+    """Return the result for an arm from recordings without a payload.
+
+    Its remarks are reasons against the fit, the links or the model file first. Where too much
+    torque is unexplained (``UNEXPLAINED``), or the given friction model misses terms that the
+    torques show, its verdict is never better than ``Verdict.TORQUES_ONLY``.
+
+    Args:
+        fitted: the fit of all terms.
+        file: the fit of the model file, whose friction may bend.
+        tests: errors of the fit on logs that were not fitted.
+        origin: where the recordings come from.
+        notes: sentences for the user so far.
+        others: the same logs, low-passed, and their names.
+    """
+    first = fitted.recordings[0]
+    samples = np.linspace(0, len(first.time) - 1, CHECKPOINTS).astype(int)
+    tests = (validation(fitted), *tests, *held_out_logs(fitted))
+    links = link_estimates(fitted, file)
+    *other_links, last_link = links
+    rows = [*fit_quantities(fitted, file, links), *beyond_model(last_link)]
+    written = model_file(file, others)
+    files = judged_files(written, fitted.arm.model_bends)
+    missed = missed_friction(fitted)
+    evidence = ArmEvidence(
+        fitted=fitted,
+        tests=tests,
+        link=last_link,
+        rows=rows,
+        files=[each.held_out for each in files],
+        others=[errors for each in files for errors in each.others],
+        missed=missed,
+    )
+    remarks = judge(OF_ARM, evidence)
+    # Links that took up the torque of missed friction say nothing of the model's.
+    if missed is None:
+        remarks += wrong_links(other_links, written)
+    return result_of(
+        fitted,
+        file,
+        links,
+        rows,
+        remarks,
+        [*notes, *link_notes(fitted)],
+        data=origin,
+        total=last_link,
+        standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
+        file=written,
+        validation=tests,
+        checkpoints=first.samples(samples),
+        traces=partial(traces_of, file),
+    )
+
+
+def result_of(
+    fitted: Fit,
+    file_fit: Fit | None,
+    links: Iterable[BodyEstimate],
+    rows: Iterable[Quantity],
+    remarks: Iterable[Remark],
+    notes: Iterable[str],
+    *,
+    data: DataOrigin,
+    total: BodyEstimate,
+    standard_errors: Mapping[str, float],
+    file: ModelFile | None,
+    validation: tuple[Validation, ...],
+    checkpoints: Motion,
+    traces: Callable[[], Traces],
+    payload: Payload | None = None,
+) -> Identification:
+    """Return the result of recordings: its own rows, remarks and notes, then those of the file.
+
+    Args:
+        fitted: the fit of all terms.
+        file_fit: the fit of the model file; None where that has the links as they are.
+        links: those that were estimated.
+        rows: identified numbers.
+        remarks: reasons against the result, or for it.
+        notes: sentences for the user so far.
+        data: see ``Identification``; so for the other fields.
+        total: the terminal link with all that moves with it.
+        standard_errors: of parameters, by name.
+        file: what is said of the model file; None where ``file_fit`` is.
+        validation: errors in predicting torques.
+        checkpoints: motion on which a written model is compared.
+        traces: computes what a report draws.
+        payload: None of an arm.
+    """
+    robot = fitted.arm.robot
+    thetas = robot.thetas
+    file_rows: list[Quantity] = []
+    sentences = [*robot.notes, *notes]
+    curves: list[FrictionCurve] = []
+    if file_fit is not None:
+        straight = straight_of(file_fit)
+        thetas = file_fit.thetas
+        file_rows += file_quantities(fitted, straight, FILE)
+        sentences += file_notes(fitted, straight, file_rows)
+        if straight is not file_fit:
+            file_rows += file_quantities(fitted, file_fit, CURVED)
+            curves += friction_curves(fitted, file_fit)
+            assert file is not None
+            sentences += curve_notes(file, curves)
+    sentences += result_notes(fitted, file_fit)
+    return Identification(
+        question=LINK if payload is None else PAYLOAD,
+        robot=robot,
+        quality=quality_of(fitted),
+        data=data,
+        torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
+        thetas=thetas,
+        quantities=(*rows, *file_rows),
+        remarks=(*remarks, *says(sentences)),
+        total=total,
+        standard_errors=standard_errors,
+        file=file,
+        payload=payload,
+        validation=validation,
+        checkpoints=checkpoints,
+        traces=traces,
+        links={link.name: link for link in links},
+        curves=tuple(curves),
+        tops={owner: fitted.arm.top_of(owner) for owner in fitted.arm.owners},
+        friction_model="-".join(fitted.question.friction) or "none",
+        cutoff=fitted.recordings[0].cutoff,
+        link_scales=asdict(fitted.question.link_scales),
+    )
+
+
+def model_file(
+    file: Fit, logs: Sequence[tuple[Sequence[FilteredRecording], str]] = ()
+) -> ModelFile:
+    """Return what is said of a fitted model file, and of that beside it whose friction bends.
+
+    Args:
+        file: its fit.
+        logs: further logs on which it is judged, low-passed, and their names.
+    """
+    model = offsets_of_model(file)
+
+    def written(fit: Fit) -> ModelFile:
+        """Return what is said of the file of a fit."""
+        return ModelFile(
+            errors=(errors_of(fit, model), *(errors_on(fit, *log) for log in logs)),
+            gravity=gravity_in(file),
+            kept=file.question.options.kept,
+            motors=file.arm.motors,
+        )
+
+    straight = straight_of(file)
+    if straight is file:
+        return written(file)
+    return replace(written(straight), curved=written(file))
+
+
+def judged_files(file: ModelFile, model_bends: bool) -> list[ModelFile]:
+    """Return the written files by which a result is judged, that whose friction bends first.
+
+    A straight line is no better than the curve of a model that bends already: the other file is
+    then judged alone.
+
+    Args:
+        file: what is said of the files.
+        model_bends: whether friction of the given model bends.
+    """
+    files = [each for each in (file.curved, file) if each is not None]
+    return files[:1] if model_bends else files

@@ -1,0 +1,171 @@
+"""Sentences for the user on what was identified and on what the written model holds of it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from robot_sysid.dynamics.friction import OFFSET
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector
+from robot_sysid.estimate.contacts import LITTLE
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
+from robot_sysid.estimate.quantities import quantity
+from robot_sysid.estimate.restricted_fit import error_without_rotors, gravity_in
+from robot_sysid.estimate.terms import ZEROS
+from robot_sysid.estimate.trust import wrong_moment
+from robot_sysid.records.file_access import MODEL_NAMES
+from robot_sysid.records.levels import SURE, UNEXPLAINED
+from robot_sysid.records.messages import Level, Remark, percent, with_error
+from robot_sysid.records.quantities import (
+    BodyEstimate,
+    FrictionCurve,
+    Quantity,
+    principal_moments,
+)
+from robot_sysid.results.reasons import unexplained_torque
+from robot_sysid.results.record import ModelFile, needs_mjcf
+from robot_sysid.wording import option_setting
+
+COARSE = 0.2
+"""Expected error of accelerations, over them, from which it is said."""
+WELL_EXPLAINED = 0.035
+"""Largest share of the torque that is unexplained and is not said: logs of right models leave up to
+3 %."""
+LEAST_ZERO = 1e-3
+"""Encoder zero up to which a note is not worth it, even if it is significant [rad or m]."""
+
+
+def link_notes(fitted: Fit) -> Iterator[str]:
+    """Yield sentences on coarse positions, the bodies of the last link, and unexplained torque."""
+    error = max(recording.acceleration_error for recording in fitted.recordings)
+    if error > COARSE:
+        yield (
+            "the positions are too coarse or too seldom to have accelerations (expected error "
+            f"{percent(error)}): rotors and inertias come out too small"
+        )
+    robot = fitted.arm.robot
+    bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
+    if len(bodies) > 1:
+        yield f"the numbers of {robot.body_name} are those of {' + '.join(bodies)} together"
+    if WELL_EXPLAINED < fitted.unexplained_share <= UNEXPLAINED:
+        yield unexplained_torque(fitted)
+
+
+def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
+    """Yield sentences on what a fitted model file, of these rows, leaves out."""
+    robot = fitted.arm.robot
+    # Of joints without torque, the log says it.
+    has_torque = np.any([each.has_torque for each in fitted.recordings], axis=0)
+    powered = itertools.compress(robot.joint_names, has_torque)
+    written = {row.of for row in rows}
+    unseen = [joint for joint in powered if joint not in written]
+    if unseen and FILE_FRICTION not in fitted.question.options.kept:
+        yield (
+            f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
+            "identifiable there, the model's values are kept"
+        )
+    yield from _offset_notes(file)
+    if robot.kind == "urdf" and needs_mjcf(rows, fitted.arm.motors):
+        tests = validation(file), error_without_rotors(file)
+        shares = [percent(test.relative_error or 0.0) for test in tests]
+        yield (
+            f"{MODEL_NAMES['urdf']} has the links and the friction of {MODEL_NAMES['mjcf']}, so "
+            f"that it holds the arm up as well; in motion its torque error is {shares[1]}, that of "
+            f"{MODEL_NAMES['mjcf']} {shares[0]}: most readers of URDF know neither rotor inertia, "
+            "which stands in its transmissions, nor motors that turn several joints"
+        )
+
+
+def curve_notes(file: ModelFile, curves: Sequence[FrictionCurve]) -> Iterator[str]:
+    """Yield sentences on friction that bends: what each file has of it, and how far it is known."""
+    speeds = ", ".join(f"{c.of} {c.known_to:.2g} {c.speed_unit}" for c in curves)
+    assert file.curved is not None
+    shares = [percent(f.after.relative_error or 0.0) for f in (file, file.curved)]
+    yield (
+        f"friction of {', '.join(c.of for c in curves)} bends with speed: {MODEL_NAMES['mjcf']} "
+        f"has the straight line nearest to it ({shares[0]} torque error on held-out data, torque "
+        f"offsets aside), the curve itself makes {shares[1]}"
+    )
+    yield f"friction is known up to the highest speeds of the logs: {speeds}"
+
+
+def _offset_notes(file: Fit) -> Iterator[str]:
+    """Yield a sentence on torque offsets that are larger than a fitted file's held-out error."""
+    squares = 0.0
+    phrases = []
+    for row, parameter in enumerate(file.arm.terms[OFFSET.name].parameters):
+        if parameter.key in file.names:
+            offset, error = quantity(file, parameter.key)
+            if abs(offset) > SURE * error:
+                squares += offset**2 * np.sum(file.sums.counts[:, row])
+                phrases.append(f"{parameter.of} {offset:.2g} {parameter.unit}")
+    squared = squares / np.sum(file.sums.squared_torque)
+    share = validation(file).relative_error or 0.0
+    if squared > max(LITTLE, share) ** 2:
+        yield (
+            f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
+            "that is larger in one direction: counted as errors, they make the torque error of the "
+            f"written file on held-out data {percent(np.sqrt(squared + share**2))}"
+        )
+
+
+def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
+    """Yield sentences for the user on friction, motors, encoder zeros and gravity."""
+    left_out = fitted.question.options.left_out_terms
+    if left_out:
+        yield f"not estimated, as the friction model is given without: {', '.join(left_out)}"
+    for motor in fitted.arm.motors:
+        if motor.tendon is None:
+            yield f"a motor turns with {motor.name}: the torques give clear evidence of it"
+    for parameter in fitted.arm.terms[ZEROS].parameters:
+        if parameter.key not in fitted.names:
+            continue
+        zero, error = quantity(fitted, parameter.key)
+        if abs(zero) > max(SURE * error, LEAST_ZERO):
+            yield (
+                f"the log reads {parameter.of} {1e3 * zero:.1f} ± {1e3 * error:.1g} "
+                f"m{parameter.unit} too large; the links are those of the true positions"
+            )
+    gravity = None if file is None else gravity_in(file)
+    level = gravity_vector(fitted.arm.robot)
+    if gravity is not None and np.any(gravity != level):
+        sine = np.linalg.norm(np.cross(level, gravity))
+        angle = math.degrees(math.atan2(sine, level @ gravity))
+        yield (
+            f"gravity in the written model is turned by {angle:.2f} degrees, because the base is "
+            f"tilted or encoder zeros are off ({option_setting('keep', 'gravity')} leaves it "
+            "alone)"
+        )
+
+
+def wrong_links(links: Iterable[BodyEstimate], file: ModelFile) -> Iterator[Remark]:
+    """Yield a doubt on each link whose first moment in the model the recordings contradict.
+
+    ``file`` is the written model, which keeps the link or has it corrected.
+    """
+    is_kept = FILE_LINKS in file.kept
+    remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
+    for wrong in filter(None, map(wrong_moment, links)):
+        text = (
+            f"{wrong.link} of the model is probably wrong: its mass times the distance of its "
+            f"centre of mass is {with_error(wrong.moment, wrong.error, 'kg·m')}, in the model "
+            f"{wrong.expected:.3g}, and torques show no more than that product"
+        )
+        yield Remark(Level.DOUBTS, wrong.link, text, remedy)
+
+
+def unknown_inertia(payload: BodyEstimate) -> str:
+    """Return why the inertia of a payload is not identified."""
+    moments, errors = principal_moments(payload)
+    if not np.all(np.isfinite(errors)):
+        return "the payload's inertia is not identifiable from these torques"
+    listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
+    return (
+        f"the payload's principal moments of inertia, {listed} kg·m², do not differ significantly "
+        "from zero"
+    )
