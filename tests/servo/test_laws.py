@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rigs.arms import robot_of
-from rigs.servo_logs import commanded, positions
+from rigs.servo_logs import positions, sines_and_steps
 from robot_sysid.records import Recording
 from robot_sysid.servo.fit import fit_servos, loop_columns, solve_not_negative
 from robot_sysid.servo.loop import distances, goal_error, low_pass, low_pass_motion
@@ -24,7 +24,7 @@ def arm(heavier=1.0):
     return robot_of(ARM.format(lift=0.4 * heavier, elbow=0.3 * heavier))
 
 
-def drawn(seed):
+def random_servos(seed):
     """Servos of any numbers that samples of 50 Hz resolve."""
     rng = np.random.default_rng(seed)
     usual = np.array([14.0, 0.5, 0.06, 0.03])[:, None]
@@ -33,14 +33,14 @@ def drawn(seed):
 
 
 def log_of(robot, servos, seed=0):
-    time, command = commanded(20.0, seed)
+    time, command = sines_and_steps(20.0, seed)
     q = positions(robot, time, command, servos, steps=20)
     return Recording(time, q, None, command - q, command=command)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_true_numbers_are_found_within_their_errors(seed):
-    servos = drawn(seed)
+    servos = random_servos(seed)
     fit = fit_servos(arm(), [log_of(arm(), servos, seed)])
     assert fit.is_known.all() and not fit.is_fast.any()
     assert np.all(np.abs(fit.numbers - servos.numbers) < 2.0 * fit.errors)
@@ -48,7 +48,7 @@ def test_true_numbers_are_found_within_their_errors(seed):
 
 
 def test_the_equations_hold_of_true_numbers_alone():
-    servos = drawn(1)
+    servos = random_servos(1)
     piece = log_of(arm(), servos)
     columns, _ = loop_columns(arm(), [piece])
     gain, *others = servos.numbers
@@ -77,7 +77,7 @@ def test_a_log_shows_no_unit_of_torque():
         .replace("1e-4 3e-4 3e-4", "2e-4 6e-4 6e-4")
         .replace('kp="20"', 'kp="40"')
     )
-    piece = log_of(arm(), drawn(2))
+    piece = log_of(arm(), random_servos(2))
     light = fit_servos(arm(), [piece])
     twice = fit_servos(heavy, [piece])
     assert_allclose(twice.numbers, 2.0 * light.numbers, rtol=1e-6)
@@ -87,7 +87,7 @@ def test_a_log_shows_no_unit_of_torque():
 
 def test_pieces_of_a_log_are_one_log():
     """But for the samples at their ends, which the low-pass repeats."""
-    piece = log_of(arm(), drawn(3))
+    piece = log_of(arm(), random_servos(3))
     whole = fit_servos(arm(), [piece])
     half = len(piece) // 2
     parts = fit_servos(arm(), [piece[:half], piece[half:]])
