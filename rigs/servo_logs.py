@@ -22,8 +22,8 @@ TRUTH = ServoParameters(
 """The true parameters of the arm behind the logs."""
 
 
-def commanded(seconds=14.0, seed=0):
-    """(time (N,), command (N, 2)) of sines and steps, on steps of 1 mrad."""
+def sines_and_steps(seconds=14.0, seed=0):
+    """Return time (N,) and commands (N, 2) on steps of 1 mrad."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE)) / RATE
     phase = 2.0 * np.pi * np.outer(time, [0.31, 0.43]) + rng.uniform(0.0, 6.0, 2)

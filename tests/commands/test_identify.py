@@ -156,7 +156,7 @@ SERVOS = ("--torque-from position-error",)
 @pytest.fixture(scope="module")
 def log_with_commands():
     """(time, positions, commands) of the true arm."""
-    time, command = servo_logs.commanded()
+    time, command = servo_logs.sines_and_steps()
     return (
         time,
         servo_logs.positions(arms.robot_of(servo_logs.XML), time, command),

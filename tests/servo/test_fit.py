@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigs.arms import robot_of
-from rigs.servo_logs import commanded, positions
+from rigs.servo_logs import positions, sines_and_steps
 from robot_sysid.records import Recording
 from robot_sysid.servo.fit import LINK_ERROR, fit_servos
 from robot_sysid.servo.loop import rms
@@ -37,7 +37,7 @@ def arm(mass=0.3, kp=17.8, limit=""):
 
 def log(robot, scale=1.0, truth=TRUTH, steps=20, seconds=20.0):
     """A log of an arm behind servos with the true numbers, in some steps a sample."""
-    time, command = commanded(seconds)
+    time, command = sines_and_steps(seconds)
     command = scale * command
     q = positions(robot, time, command, truth, steps=steps)
     return Recording(time, q, None, command - q, command=command)

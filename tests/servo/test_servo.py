@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from rigs import schemas, urdf
 from rigs.model_files import write_files
 from rigs.notes import NoteRecorder
-from rigs.servo_logs import XML, commanded, positions, write
+from rigs.servo_logs import XML, positions, sines_and_steps, write
 from robot_sysid import servo
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError
@@ -141,8 +141,8 @@ def data_set(folder, robot, truth, roll_shares):
     """Logs of an arm, in each of which the last joint gets a share of its motion."""
     paths = []
     for k, share in enumerate(roll_shares):
-        time, two = commanded(12.0, seed=k)
-        _, other = commanded(12.0, seed=k + 10)
+        time, two = sines_and_steps(12.0, seed=k)
+        _, other = sines_and_steps(12.0, seed=k + 10)
         command = np.column_stack((two, share * other[:, 0]))
         q = positions(robot, time, command, truth)
         path = folder / f"log{k}.csv"
@@ -216,7 +216,7 @@ def test_numbers_are_judged_by_what_was_fitted_and_by_what_was_not(so_arm, share
     rollouts = ServoRollouts(so_arm)
     problems = []
     for seed, share in enumerate(shares):
-        time, two = commanded(12.0, seed=seed)
+        time, two = sines_and_steps(12.0, seed=seed)
         command = np.column_stack((two, share * two[:, 0]))
         q = positions(so_arm, time, command, SO_TRUTH)
         problems.append(ServoProblem(rollouts, [log(q, command, time)]))

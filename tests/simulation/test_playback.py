@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
 from rigs.releases import since
-from rigs.servo_logs import SERVOS, TRUTH, XML, commanded
+from rigs.servo_logs import SERVOS, TRUTH, XML, sines_and_steps
 from robot_sysid.simulation import playback
 from robot_sysid.simulation.plant import forward_model, set_chain_state
 
@@ -77,7 +77,7 @@ def test_joints_behind_the_chain_stay_where_they_are(name):
 
 
 EDGES = np.linspace(0.0, 1.0, 501)
-TIME, COMMAND = commanded(4.0)
+TIME, COMMAND = sines_and_steps(4.0)
 WINDOW = playback.ServoWindow(1.0, COMMAND[50], np.zeros(2), TIME, COMMAND)
 
 
