@@ -1,4 +1,9 @@
-"""What may go wrong with an arm of ``rigs.sound_arms``: faults that happen at a moment."""
+"""What may go wrong with an arm of ``rigs.sound_arms``: faults that happen at a moment.
+
+They are no rows of ``rigs.incidents``: these arms and motors are a witness that shares no code with
+the package and its simulated motors, so that a fault is something else there. What comes of them
+``benchmarks/motor_differences.py`` prints.
+"""
 
 from __future__ import annotations
 
