@@ -12,7 +12,11 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.friction import POLYNOMIAL, stated_tops
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    EARTH_GRAVITY,
+    gravity_vector,
+    with_gravity,
+)
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links
 from robot_sysid.model.chain import (
@@ -139,7 +143,7 @@ def _turned_gravity(robot: RobotModel, direction: Sequence[float] | Array) -> Ar
     """
     vector = np.array(direction, dtype=float)
     length = np.linalg.norm(vector)
-    size = np.linalg.norm(gravity_vector(robot)) or 9.81
+    size = np.linalg.norm(gravity_vector(robot)) or EARTH_GRAVITY
     if vector.shape != (3,) or not 0.0 < length < np.inf:
         raise InputError(
             f"{option_name('gravity', 'X Y Z')} takes a direction, three numbers that are not all "

@@ -48,6 +48,10 @@ UNMODELLED_TORQUE = 0.002
 root mean square torque. Where a payload is weighed, all larger errors cancel and it adds to the
 noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.payload_plan)."""
 
+HIGHEST_RATE_HZ = 200.0
+"""Highest rate at which a motion is processed like a log [Hz], far above its band: the noise of a
+sample is scaled to the lower rate."""
+
 
 def _arm_terms(
     problem: ExcitationProblem,
@@ -237,8 +241,7 @@ def expected_fit(
         InputError: the motion cannot be processed as a log.
     """
     loaded = aim.target == "payload"
-    # Far above the band of a motion [Hz]; the noise of a sample is scaled to the lower rate.
-    rate = min(sample_rate, 200.0)
+    rate = min(sample_rate, HIGHEST_RATE_HZ)
     processed = _processed_motion(problem, plan, rate, options)
     arm = _arm_terms(problem, options, loaded, speeds_in([processed]))
     recordings = _payload_recordings(processed) if loaded else (processed,)
