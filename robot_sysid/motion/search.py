@@ -469,8 +469,8 @@ def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Arra
     factor = _largest_factor(design, np.zeros_like(offset), offset)
     offset *= np.minimum(1.0, APPROACH_SHARE * factor)[:, None]
     decay = design.unit ** rng.uniform(0.0, 1.0)
-    spread = rng.uniform(LEAST_AMPLITUDE, 1.0, size=size)
-    shape = rng.normal(size=size) * spread * decay
+    normal = rng.normal(size=size)
+    shape = normal * rng.uniform(LEAST_AMPLITUDE, 1.0, size=size) * decay
     shape[:, 0] = 0.0
     factor = _largest_factor(design, offset, shape)
     return offset + shape * factor[:, None]
