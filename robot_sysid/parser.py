@@ -12,7 +12,11 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.friction import POLYNOMIAL, stated_tops
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    EARTH_GRAVITY,
+    gravity_vector,
+    with_gravity,
+)
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links
 from robot_sysid.model.chain import (
@@ -25,7 +29,12 @@ from robot_sysid.model.chain import (
     joint_limits,
     resolve_joint,
 )
-from robot_sysid.model.compilation import InMemory, compile_model, is_in_memory
+from robot_sysid.model.compilation import (
+    CompiledModel,
+    InMemory,
+    compile_model,
+    is_in_memory,
+)
 from robot_sysid.model.stated import placeholder_notes, with_references
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import Array, RobotModel
@@ -60,7 +69,6 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe, and those there are; or no such direction.
     """
-    path = Path("model" if is_in_memory(model) else model)
     compiled = compile_model(model, mesh_dir)
     mj_model = compiled.mj_model
     terminal = (
@@ -74,7 +82,44 @@ def load_robot_model(
     qpos = mj_model.qpos0.copy()
     if keyframe_id is not None:
         qpos[:] = mj_model.key_qpos[keyframe_id]
-    dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
+    path = Path("model" if is_in_memory(model) else model)
+    robot = _arm_of(compiled, chain, path, qpos, max_velocity)
+    robot = with_mass_scale(robot, mass_scale or 1.0)
+    refuse_cad_units(robot)
+    if gravity is not None:
+        robot = with_gravity(robot, _turned_gravity(robot, gravity))
+    notes = (
+        *robot.notes,
+        *_notes_on_options(mass_scale, gravity),
+        *_notes_on_choices(robot, carriers, joint is None, keyframe_id),
+        *placeholder_notes(robot.links),
+        *_notes_on_what_is_left_out(robot),
+    )
+    return replace(robot, notes=notes)
+
+
+def _arm_of(
+    compiled: CompiledModel,
+    chain: tuple[int, ...],
+    path: Path,
+    qpos: Array,
+    max_velocity: PerJoint,
+) -> RobotModel:
+    """Return the arm with a chain of joints of a compiled model, as the model states it.
+
+    Args:
+        compiled: the model.
+        chain: ids of its joints, base to terminal.
+        path: of its file.
+        qpos: (nq,) its positions at rest.
+        max_velocity: as in ``load_robot_model``.
+
+    Raises:
+        ModelError: the terminal body weighs nothing.
+    """
+    mj_model = compiled.mj_model
+    joints = list(chain)
+    dofs = mj_model.jnt_dofadr[joints].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     links = with_references(mj_model, qpos, arm_links(mj_model, qpos, chain))
     if links[-1].theta[0] <= 0.0:
@@ -83,16 +128,16 @@ def load_robot_model(
             "<inertial> or geoms with mass as a starting value"
         )
     speeds = [compiled.velocity_limits.get(name) for name in names]
-    robot = RobotModel(
+    return RobotModel(
         path=path,
         mj_model=mj_model,
         sha256=compiled.sha256,
         kind=compiled.kind,
         joint_names=names,
-        qpos_index=mj_model.jnt_qposadr[list(chain)].astype(np.int64),
+        qpos_index=mj_model.jnt_qposadr[joints].astype(np.int64),
         dof_index=dofs,
         reference_qpos=qpos,
-        is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
+        is_slide=mj_model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_SLIDE),
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
         friction=joint_friction(mj_model, dofs),
         stated_speeds=np.array(
@@ -101,35 +146,49 @@ def load_robot_model(
         links=links,
         notes=compiled.notes,
     )
-    robot = with_mass_scale(robot, mass_scale or 1.0)
-    refuse_cad_units(robot)
-    notes = [*robot.notes]
+
+
+def _notes_on_options(
+    mass_scale: float | None, gravity: Sequence[float] | Array | None
+) -> Iterator[str]:
+    """Yield sentences on how options change the model that the file states."""
     if gravity is not None:
-        robot = with_gravity(robot, _turned_gravity(robot, gravity))
         x, y, z = gravity
-        notes.append(f"gravity is taken to act along ({x:g}, {y:g}, {z:g})")
+        yield f"gravity is taken to act along ({x:g}, {y:g}, {z:g})"
     if mass_scale is not None:
-        notes.append(
-            f"the model's masses and moments of inertia are taken {mass_scale:g} times"
-        )
-    jaw = jaw_in_line(mj_model, terminal) if joint is None else None
+        yield f"the model's masses and moments of inertia are taken {mass_scale:g} times"
+
+
+def _notes_on_choices(
+    robot: RobotModel, carriers: Sequence[int], is_found: bool, keyframe: int | None
+) -> Iterator[str]:
+    """Yield sentences on what was chosen where the user may want something else.
+
+    Args:
+        robot: the arm.
+        carriers: ids of the joints that move its last link, base to terminal.
+        is_found: whether the last one was found, and not named by the user.
+        keyframe: id of the keyframe that is the arm at rest, if any.
+    """
+    mj_model = robot.mj_model
+    jaw = jaw_in_line(mj_model, carriers[-1]) if is_found else None
     if jaw is not None:
         name = joint_label(mj_model, jaw)
-        notes.append(
+        yield (
             f"joint {name} is taken for the jaw of a gripper because of its name, and held still; "
-            f"the arm ends at joint {names[-1]} (to add the jaw: {option_setting('joint', name)})"
+            f"the arm ends at joint {robot.joint_names[-1]} (to add the jaw: "
+            f"{option_setting('joint', name)})"
         )
-    if keyframe_id is None and mj_model.nkey:
+    if keyframe is None and mj_model.nkey:
         keyframes = ", ".join(keyframe_names(mj_model))
-        notes.append(
+        yield (
             "of several keyframes none is called home, so all joints start at their zero; "
             f"{option_name('keyframe')} chooses one of {keyframes}"
         )
-    base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in chain)
+    arm = mj_model.dof_jntid[robot.dof_index]
+    base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in arm)
     if base:
-        notes.append(f"{base} drive a mobile base, which is taken to stand still")
-    notes += [*placeholder_notes(links), *_notes_on_what_is_left_out(robot)]
-    return replace(robot, notes=tuple(notes))
+        yield f"{base} drive a mobile base, which is taken to stand still"
 
 
 def _turned_gravity(robot: RobotModel, direction: Sequence[float] | Array) -> Array:
@@ -139,7 +198,7 @@ def _turned_gravity(robot: RobotModel, direction: Sequence[float] | Array) -> Ar
     """
     vector = np.array(direction, dtype=float)
     length = np.linalg.norm(vector)
-    size = np.linalg.norm(gravity_vector(robot)) or 9.81
+    size = np.linalg.norm(gravity_vector(robot)) or EARTH_GRAVITY
     if vector.shape != (3,) or not 0.0 < length < np.inf:
         raise InputError(
             f"{option_name('gravity', 'X Y Z')} takes a direction, three numbers that are not all "

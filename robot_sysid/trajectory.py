@@ -27,6 +27,23 @@ UNLIMITED_RANGE = {False: 2.0 * np.pi, True: 0.3}
 slide]."""
 LONGEST_FADE = 2.5
 """Longest time in which the window rises, and in which it falls [s]."""
+SPEED_SHARE = 0.99
+"""Share of the speed limits that a random trajectory uses: its speed is sampled, and between
+samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %."""
+LEAST_SPEED_RATE_HZ = 50.0
+"""Least rate at which it is sampled [Hz]."""
+TERMINAL_SHARE = 0.7
+"""Share of its range that a random trajectory uses of the terminal joint."""
+OTHER_SHARE = 0.1
+"""Share of its range that a random trajectory uses of another joint."""
+BAND_HZ = (0.1, 0.6)
+"""Lowest and highest frequency of random sinusoids [Hz]."""
+MOST_SINUSOIDS = 5
+"""Largest number of random sinusoids of a joint."""
+SLOT_MIDDLE = (0.1, 0.9)
+"""Part of its slot of the band in which each frequency lies, so that no two are nearly the same."""
+LEAST_WEIGHT = 0.4
+"""Least amplitude of a random sinusoid, over the largest that there may be."""
 CHUNK = 2048
 """Samples of a motion that are evaluated at a time."""
 
@@ -156,19 +173,17 @@ def generate_excitation_trajectory(
         rng: source of randomness.
         duration: length [s].
     """
-    fade = min(LONGEST_FADE, 0.25 * duration)
+    fade = min(LONGEST_FADE, duration / 4.0)
     center, reach = _center_and_reach(robot)
     frequency, phase, weight = _draw_sinusoids(rng, robot.n_joints)
     shape = SineTrajectory(center, weight, frequency, phase, duration, fade)
-    # The reach is compared with the sum of the amplitudes, a bound for all times. Speed is sampled;
-    # between samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %, which the 1 %
-    # reserve covers. A short motion is mostly window, and still gets 64 samples per rise.
+    # The reach is compared with the sum of the amplitudes, a bound for all times. Speed is sampled:
+    # a short motion is mostly window, and still gets 64 samples per rise.
     total = np.sum(np.abs(shape.amplitude), axis=1)
-    times = sample_times(duration, max(50.0, 256 / duration))
+    times = sample_times(duration, max(LEAST_SPEED_RATE_HZ, 256 / duration))
     peaks = [np.max(np.abs(shape.evaluate(time).qd), axis=0) for time in times]
-    factor = np.minimum(
-        reach / total, 0.99 * robot.limits.velocity / np.max(peaks, axis=0)
-    )
+    usable_speed = SPEED_SHARE * robot.limits.velocity
+    factor = np.minimum(reach / total, usable_speed / np.max(peaks, axis=0))
     return shape.scale_amplitudes(factor)
 
 
@@ -183,9 +198,8 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
     for slides].
     """
     limits = robot.limits.around(robot.reference, assumed_reach(robot))
-    # Of its range, which the terminal joint uses widely.
-    share = np.full(robot.n_joints, 0.1)
-    share[-1] = 0.7
+    share = np.full(robot.n_joints, OTHER_SHARE)
+    share[-1] = TERMINAL_SHARE
     reach = limits.span * share
     center = robot.reference.copy()
     if robot.limits.has_range[-1]:
@@ -196,7 +210,7 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
 
 
 def random_sinusoids(joints: int, time: Array, rng: np.random.Generator) -> Motion:
-    """Return sums of sinusoids of 0.1 to 0.6 Hz about zero (N, joints), of size one, at times (N,).
+    """Return sums of sinusoids of ``BAND_HZ`` about zero (N, joints), of size one, at times (N,).
 
     They have no window: they neither start nor end at rest, and nothing plays them.
     """
@@ -215,17 +229,17 @@ def _draw_sinusoids(
 ) -> tuple[Array, Array, Array]:
     """Return random frequencies [Hz], phases [rad] and relative amplitudes, (joints, K) each.
 
-    A joint has three to five sinusoids, of 0.1 to 0.6 Hz.
+    A joint has three to ``MOST_SINUSOIDS`` sinusoids, with frequencies in ``BAND_HZ``.
     """
     # The band is cut into one slot per sinusoid, so that no two frequencies of the arm coincide;
     # within its slot a frequency is a random real number, so ratios are not small fractions and the
     # motion does not repeat.
-    most_terms = 5
-    n_terms = rng.integers(3, most_terms + 1, size=joints)
-    is_used = np.arange(most_terms) < n_terms[:, None]
-    slots = rng.permutation(joints * most_terms).reshape(joints, most_terms)
-    position = (slots + rng.uniform(0.1, 0.9, size=slots.shape)) / slots.size
-    frequency = 0.1 + 0.5 * position
+    n_terms = rng.integers(3, MOST_SINUSOIDS + 1, size=joints)
+    is_used = np.arange(MOST_SINUSOIDS) < n_terms[:, None]
+    slots = rng.permutation(joints * MOST_SINUSOIDS).reshape(joints, MOST_SINUSOIDS)
+    position = (slots + rng.uniform(*SLOT_MIDDLE, size=slots.shape)) / slots.size
+    lowest, highest = BAND_HZ
+    frequency = lowest + (highest - lowest) * position
     phase = rng.uniform(0.0, 2.0 * np.pi, size=slots.shape)
-    weight = np.where(is_used, rng.uniform(0.4, 1.0, size=slots.shape), 0.0)
+    weight = np.where(is_used, rng.uniform(LEAST_WEIGHT, 1.0, size=slots.shape), 0.0)
     return frequency, phase, weight

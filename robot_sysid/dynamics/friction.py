@@ -44,12 +44,21 @@ which would otherwise be flat where the arm usually moves."""
 LEAST_TOP = 1.0
 """Least such speed where no limit is stated [rad/s or m/s]."""
 
+STRIBECK_SPEED = 0.1
+"""Speed above which breakaway has faded, of the term of this name [rad/s or m/s]."""
+SIGMOID_SPEED = 0.05
+"""Speed at which Coulomb friction of a smooth reversal is three quarters of itself [rad/s or
+m/s]."""
+LARGEST_EXPONENT = 200.0
+"""Exponents from which exp(-x) counts as one number, 1e-87: denormal numbers, from 708 on, are a
+hundred times slower."""
+
 _TORQUE = ("N·m", "N")
 
 
 def _decay(exponent: Array) -> Array:
-    """Return exp(-exponent), 1e-87 at least: denormal numbers are a hundred times slower."""
-    return np.exp(-np.minimum(exponent, 200.0))
+    """Return exp(-exponent), where the exponent counts up to ``LARGEST_EXPONENT``."""
+    return np.exp(-np.minimum(exponent, LARGEST_EXPONENT))
 
 
 class FrictionTerm(Parameter):
@@ -174,8 +183,8 @@ _OTHERS = (
         "stribeck",
         "Stribeck friction",
         _TORQUE,
-        "sign(qd) * exp(-(qd / 0.1)**2)",
-        lambda sign, qd, qdd, load: sign * _decay((qd / 0.1) ** 2),
+        f"sign(qd) * exp(-(qd / {STRIBECK_SPEED})**2)",
+        lambda sign, qd, qdd, load: sign * _decay((qd / STRIBECK_SPEED) ** 2),
         is_dry=True,
         lower=0.0,
     ),
@@ -193,8 +202,8 @@ _OTHERS = (
     FrictionTerm(
         "sigmoid",
         units=_TORQUE,
-        formula="tanh(qd / 0.05)",
-        torque=lambda sign, qd, qdd, load: np.tanh(qd / 0.05),
+        formula=f"tanh(qd / {SIGMOID_SPEED})",
+        torque=lambda sign, qd, qdd, load: np.tanh(qd / SIGMOID_SPEED),
         is_dry=True,
         lower=0.0,
     ),

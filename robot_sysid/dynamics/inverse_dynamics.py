@@ -46,6 +46,8 @@ from robot_sysid.spatial import N_INERTIAL, cross
 ARRAY_SIZE = 1_000_000
 """Largest size of an array of intermediate results [numbers], beyond which a motion is split: it
 bounds the memory for arms with many joints, and changes no result."""
+EARTH_GRAVITY = 9.81
+"""Gravity on Earth, as MuJoCo has it where a model states none [m/s^2]."""
 TILT_NAMES = keys_of(TILTS)
 """Names of the two angles by which a base is tilted."""
 # Angle over which slopes of the weight are taken [rad].

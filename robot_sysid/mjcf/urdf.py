@@ -33,6 +33,9 @@ _READABLE_MESHES = (".stl", ".obj", ".msh")
 _MINIMUM_MASS = 1e-6
 # Moments of inertia that such a link gets [kg m^2].
 _MINIMUM_INERTIA = 1e-9
+# What moments of inertia are raised by, over what is needed: rounding to three digits must not
+# leave them where MuJoCo refuses them.
+_BEYOND_EDGE = 1.01
 LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
@@ -208,8 +211,7 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
         if smallest <= none:
             excess = max(excess, least - smallest)
         if excess > 0.0:
-            # Rounding must not leave it on the edge.
-            increases[name] = float(f"{1.01 * excess:.3g}")
+            increases[name] = float(f"{_BEYOND_EDGE * excess:.3g}")
     return increases
 
 

@@ -38,6 +38,8 @@ _PID_GAIN = getattr(mujoco.mjtGain, "mjGAIN_PID", None)
 _NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
 # Control, length and speed in place of infinite ones.
 _ENDLESS = 1e9
+# Least force, per unit of such a control, that grows with it: a force with an end has less.
+_LEAST_GAIN = 1e-4
 
 
 def control_rows(mj_model: Any, actuator: int) -> NDArray[np.int64]:
@@ -152,7 +154,7 @@ def output_ranges(mj_model: Any) -> Array:
         mujoco.mj_fwdActuation(mj_model, data)
         forces.append(gears * data.actuator_force[outputs])
     ranges = np.sort(np.transpose(forces), axis=1)
-    is_endless = np.abs(ranges) > 1e-4 * _ENDLESS
+    is_endless = np.abs(ranges) > _LEAST_GAIN * _ENDLESS
     return np.where(is_endless, np.copysign(np.inf, ranges), ranges)
 
 

@@ -33,6 +33,9 @@ from robot_sysid.records import Array, JointFriction, Limits
 from robot_sysid.records.option_fields import PerJoint, joint_values
 from robot_sysid.wording import option_name, option_setting
 
+RIVAL_SHARE = 0.6
+"""Share of the arm's joints from which another run of joints could be the arm: a head of two or
+three joints beside a seven-joint arm is none, a run of five may be one."""
 # Part of the name of a gripper's joint.
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 # Part of the name of a gripper's moving body.
@@ -155,8 +158,8 @@ def find_terminal_joint(mj_model: Any) -> int:
     """Return the id of the last joint of the longest serial run, the arm, without its jaws.
 
     AmbiguousJointError where the user has to decide: a run beside the arm (not behind it, nor
-    between it and the world) has 60 % of its joints or more, or its last joint may be none of the
-    arm's. ModelError where the model has no hinge or slide joints.
+    between it and the world) has ``RIVAL_SHARE`` of its joints or more, or its last joint may be
+    none of the arm's. ModelError where the model has no hinge or slide joints.
     """
     runs = _runs_without_jaws(mj_model)
     if not runs:
@@ -173,8 +176,7 @@ def find_terminal_joint(mj_model: Any) -> int:
     rivals = [arm]
     for run in runs:
         is_in_line = {arm[-1], run[-1]} & (carriers[arm] | carriers[run])
-        # A head of two or three joints beside a seven-joint arm is no arm, a run of five is one.
-        if run != arm and not is_in_line and len(run) >= 0.6 * longest:
+        if run != arm and not is_in_line and len(run) >= RIVAL_SHARE * longest:
             rivals.append(run)
     if len(rivals) > 1:
         reason = f"{len(rivals)} serial chains of joints could be the arm"

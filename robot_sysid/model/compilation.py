@@ -39,6 +39,12 @@ from robot_sysid.wording import option_name
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 """Exceptions by which MuJoCo refuses a model."""
+AXES_ERROR = 1e-2
+"""Largest error of a compiled inertia, as a share of its trace, that comes of MuJoCo's principal
+axes before release 3.14: these have about six digits, fewer where two moments are nearly equal."""
+DIGITS_ERROR = 1e-4
+"""Relative difference up to which a mass that MuJoCo wrote, with six digits, is the compiled
+one."""
 # Arrays of an MjModel whose numbers are checked.
 _MUST_BE_FINITE = (
     "body_mass",
@@ -217,7 +223,7 @@ def restore_exact_inertias(
         difference = np.max(np.abs(compiled - inertia))
         # More than rounding. balanceinertia keeps the trace too, but makes all three moments equal,
         # which inaccurate axes do not reach.
-        is_inaccurate = 1e-13 * size < difference < 1e-2 * size
+        is_inaccurate = 1e-13 * size < difference < AXES_ERROR * size
         if has_same_trace and is_inaccurate:
             # Rounding must not leave a flat body with moments that no body has.
             moments[2] = min(moments[2], moments[0] + moments[1])
@@ -278,8 +284,7 @@ def _write_all_digits(path: Path, model: Any) -> None:
         if inertial is None or node.get("name", "") != model.body(body).name:
             continue
         mass = model.body_mass[body]
-        # MuJoCo writes six digits.
-        if np.isclose(float(inertial.get("mass", 0.0)), mass, rtol=1e-4):
+        if np.isclose(float(inertial.get("mass", 0.0)), mass, rtol=DIGITS_ERROR):
             inertial.set("pos", format_numbers(model.body_ipos[body]))
             inertial.set("quat", format_numbers(model.body_iquat[body]))
             inertial.set("diaginertia", format_numbers(model.body_inertia[body]))

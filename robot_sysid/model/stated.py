@@ -31,6 +31,12 @@ LEAST_SHARE = 1e-3
 which the distance of a centre of mass from its joint is one: public arms have 0.08 and 0.005."""
 ALIKE = 3
 """Number of links with one and the same inertia from which it is a placeholder."""
+LEAST_MOMENT_SHARE = 0.2
+"""Share of the mean moment of a rod of the link's size and mass below which an inertia is a
+placeholder: links of public arms have 0.26 and more."""
+LEAST_OFF_CENTRE = 0.2
+"""Least distance of the middle of a link's shapes from its joint, as a share of the link's size,
+for a centre of mass at the joint to be a placeholder: shapes may have their middle there, too."""
 GROUND_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 """MuJoCo's types of geoms that are ground, and no shape of a link."""
 
@@ -62,13 +68,11 @@ def with_references(
         unknown = {*copied[link.body_name]}
         if mass < LEAST_SHARE * median:
             unknown |= {MASS, INERTIA}
-        # Links of public arms have 0.26 of the mean moment of a rod of their size, and more.
-        least = 0.2 * mass * np.trace(rod[1])
+        least = LEAST_MOMENT_SHARE * mass * np.trace(rod[1])
         if np.trace(inertia) < least or not spatial.is_consistent(link.theta):
             unknown.add(INERTIA)
-        # Shapes may have their middle at the joint, too.
         is_at_joint = np.linalg.norm(com) < LEAST_SHARE * size
-        if is_at_joint and np.linalg.norm(centre) > 0.2 * size:
+        if is_at_joint and np.linalg.norm(centre) > LEAST_OFF_CENTRE * size:
             unknown.add(CENTRE)
         reference = link.theta
         if unknown:

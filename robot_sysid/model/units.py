@@ -21,6 +21,20 @@ from robot_sysid.model.bodies import link_reach
 from robot_sysid.model.stated import LEAST_SHARE
 from robot_sysid.records import RobotModel
 
+FOAM = 0.1
+"""Mass of an arm over the cube of its length below which it would be foam [kg/m^3]: public arms
+have 5 to 250."""
+LEAD = 1000.0
+"""Mass of an arm over the cube of its length above which it would be lead [kg/m^3]."""
+SHORTEST_ARM = 0.3
+"""Length that an arm is taken to have at least [m]: its joints may turn about one point."""
+LONGEST_ARM = 30.0
+"""Longest arm there is, a crane [m]."""
+LARGEST_GYRATION = 1.5
+"""Largest radius of gyration of a link that is larger than the arm is long [m]."""
+DENSEST = 2e5
+"""Mass over the cube of the radius of gyration of a sphere of the densest metal [kg/m^3]."""
+
 
 def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:
     """Return an arm all of whose masses and moments of inertia are multiplied by a factor."""
@@ -47,17 +61,16 @@ def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:
 def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
     """Return the factor that brings an arm's masses, times another factor, into kilograms.
 
-    It is 1 for an arm that there may be. No arm is as light for its length as foam, nor as heavy as
-    lead, 0.1 and 1000 kg over the cube of its length in metres (public arms have 5 to 250): masses
-    in tonnes are 1000 times too small, masses in grams 1000 times too large.
+    It is 1 for an arm that there may be, between ``FOAM`` and ``LEAD``: masses in tonnes are 1000
+    times too small, masses in grams 1000 times too large.
     """
     length = robot.reach
     # Without shapes, it follows from inertias, which may be placeholders.
     tip = min(link_reach(robot), length)
-    density = factor * robot.mass / max(length + tip, 0.3) ** 3
-    if density < 0.1:
+    density = factor * robot.mass / max(length + tip, SHORTEST_ARM) ** 3
+    if density < FOAM:
         return 1e3
-    return 1.0 if density <= 1000.0 else 1e-3
+    return 1.0 if density <= LEAD else 1e-3
 
 
 def refuse_cad_units(robot: RobotModel) -> None:
@@ -86,7 +99,7 @@ def _unit_fault(robot: RobotModel) -> str:
     bodies = bodies[masses > LEAST_SHARE * np.max(masses)]
     length = robot.reach
     com_distance = np.median(np.linalg.norm(mj_model.body_ipos[bodies], axis=1))
-    if max(length, com_distance) > 30.0:  # the longest arm is a crane
+    if max(length, com_distance) > LONGEST_ARM:
         return (
             f"the distances between its joints add up to {length:.3g} m, and centres of mass lie "
             f"{com_distance:.3g} m away from their links' frames: these lengths fit mm, not m; "
@@ -99,8 +112,7 @@ def _unit_fault(robot: RobotModel) -> str:
         radii = np.sqrt(np.sum(moments[is_stated], axis=1) / (2.0 * masses))
         radius = np.median(radii)
         compactness = np.median(masses / radii**3)
-        # An arm's joints may turn about one point. A sphere of the densest metal has m / r^3 = 2e5.
-        if radius > max(length, 1.5) or compactness > 2e5:
+        if radius > max(length, LARGEST_GYRATION) or compactness > DENSEST:
             return (
                 f"half of its links have more than {np.median(masses):.3g} kg, and half a radius "
                 f"of gyration of more than {radius:.3g} m, which no arm has; state masses in kg "

@@ -42,6 +42,13 @@ HORIZON = 0.05
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair must keep, where this is less than the clearance."""
 
+DEPTH_ERROR = 1e-4
+"""Error of MuJoCo's depths of bodies inside each other [m], by which a pair that touches at rest
+may get deeper."""
+LARGEST_OVERLAP = 1e-3
+"""Depth up to which bodies that are inside each other at rest touch, as parked arms do [m]; deeper
+ones collide."""
+
 
 @dataclass(frozen=True)
 class Closest:
@@ -296,12 +303,11 @@ class Clearance:
         by_design = touching_by_design(self._robot, touching)
         collisions = []
         for a, b in touching:
-            # Deeper by the error of MuJoCo's depths.
-            required = distances[a, b] - 1e-4
+            required = distances[a, b] - DEPTH_ERROR
             if (a, b) in by_design:
                 required = -np.inf
-            # Parked arms touch; no motion may start where bodies collide.
-            elif distances[a, b] < -1e-3:
+            # No motion may start where bodies collide.
+            elif distances[a, b] < -LARGEST_OVERLAP:
                 required = clearance
                 depth = -1e3 * distances[a, b]
                 collisions.append(f"{self._label(a, b)} ({depth:.2g} mm deep)")

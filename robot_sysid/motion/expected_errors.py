@@ -48,6 +48,12 @@ UNMODELLED_TORQUE = 0.002
 root mean square torque. Where a payload is weighed, all larger errors cancel and it adds to the
 noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.payload_plan)."""
 
+# Causes of terms that each joint has.
+_OF_JOINTS = (FRICTION, FURTHER_FRICTION, SCALES)
+HIGHEST_RATE_HZ = 200.0
+"""Highest rate at which a motion is processed like a log [Hz], far above its band: the noise of a
+sample is scaled to the lower rate."""
+
 
 def _arm_terms(
     problem: ExcitationProblem,
@@ -112,25 +118,26 @@ def _file_knowledge(
     """Return the priors of all terms of an arm whose whole file is to be identified."""
     arm = _arm_terms(problem, options)
     judgement = Judgement.of(problem, arm)
-    link_factor = np.zeros((N_INERTIAL * len(arm.others), 0))
+    terms = judgement.terms(options, is_replaced=False)
+    factors = {LINKS: np.zeros((N_INERTIAL * len(arm.others), 0))}
     deviations: dict[str, Array] = {}
-    held = []
-    for term in judgement.terms(options, is_replaced=False):
+    for term in terms:
         assert term.prior is not None
-        name = term.parameters[0].name
-        if term.cause == LAST_LINK:
-            last_factor = term.prior.factor
-        elif term.cause == LINKS:
-            link_factor = term.prior.factor
-        elif term.cause in (FRICTION, FURTHER_FRICTION, SCALES):
+        if term.cause in (LAST_LINK, LINKS):
+            factors[term.cause] = term.prior.factor
+        elif term.cause in _OF_JOINTS:
             # Motors of several joints, which a search does not know, come behind the joints.
-            deviations[name] = np.sqrt(term.prior.variances)[: len(arm.joints)]
-            if is_held(term, options.kept):
-                held.append(name)
+            of_joints = np.sqrt(term.prior.variances)[: len(arm.joints)]
+            deviations[term.parameters[0].name] = of_joints
+    held = [
+        term.parameters[0].name
+        for term in terms
+        if term.cause in _OF_JOINTS and is_held(term, options.kept)
+    ]
     motions = [(motion.q, motion.qd, motion.qdd) for motion in judgement.motions]
     elsewhere = np.concatenate(motions, axis=1)
-    file = FileKnowledge(last_factor, tuple(held), elsewhere)
-    return PriorKnowledge(link_factor, deviations, file)
+    file = FileKnowledge(factors[LAST_LINK], tuple(held), elsewhere)
+    return PriorKnowledge(factors[LINKS], deviations, file)
 
 
 def typical_load(problem: ExcitationProblem) -> Array:
@@ -237,8 +244,7 @@ def expected_fit(
         InputError: the motion cannot be processed as a log.
     """
     loaded = aim.target == "payload"
-    # Far above the band of a motion [Hz]; the noise of a sample is scaled to the lower rate.
-    rate = min(sample_rate, 200.0)
+    rate = min(sample_rate, HIGHEST_RATE_HZ)
     processed = _processed_motion(problem, plan, rate, options)
     arm = _arm_terms(problem, options, loaded, speeds_in([processed]))
     recordings = _payload_recordings(processed) if loaded else (processed,)

@@ -28,6 +28,10 @@ from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.records.parameters import SCALE
 
+SMOOTHING = 0.03
+"""Share of the speed limits below which Coulomb friction's jump is rounded off: it changes no
+predicted standard deviation by more than 3 % (``test_the_grid_is_fine_enough_for_the_band``)."""
+
 
 @dataclass(frozen=True)
 class PriorKnowledge:
@@ -124,9 +128,7 @@ class Criterion:
         problem: the arm, and its joints whose torque is used.
         knowledge: priors.
         samples: number of samples of the recording that each sample of a motion stands for.
-        smoothing: share of the speed limits below which Coulomb friction's jump is rounded off. The
-            default changes no predicted standard deviation by more than 3 %
-            (``test_the_grid_is_fine_enough_for_the_band``).
+        smoothing: share of the speed limits below which Coulomb friction's jump is rounded off.
 
     Attributes:
         visible: (10, r) directions in the space of the terminal link's parameters that are
@@ -141,7 +143,7 @@ class Criterion:
         problem: ExcitationProblem,
         knowledge: PriorKnowledge,
         samples: float = 1.0,
-        smoothing: float = 0.03,
+        smoothing: float = SMOOTHING,
     ) -> None:
         self._problem = problem
         self._theta = np.ravel([problem.robot.links[k].theta for k in problem.links])

@@ -29,6 +29,12 @@ TOUCH = 1e-6
 approach is a sum with rounding errors, so a motion that just keeps a clearance may miss it by
 1e-9 m."""
 
+CONTACT_RATE_HZ = 4000.0
+"""Highest rate of tests of clearance, where bodies are near each other [Hz]: at 2 m/s a body moves
+0.5 mm between two of them."""
+SHRINKAGE = 0.95
+"""Factor by which a motion that breaks a limit is scaled down again and again."""
+
 
 @dataclass(frozen=True)
 class LimitCheck:
@@ -82,7 +88,7 @@ def scale_to_limits(
     factor = 1.0
     scaled = plan
     while factor > 2.0**-9 and not keeps_limits(problem, scaled, rate):
-        factor *= 0.95
+        factor *= SHRINKAGE
         scaled = plan.scale_amplitudes(factor)
     return scaled, factor
 
@@ -122,9 +128,7 @@ def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
     of the motion with it. Up to there no slack is smaller than the one returned by more than 1 mm.
     """
     least = np.inf
-    # The highest rate of tests, where bodies are near each other [Hz]: at 2 m/s a body moves 0.5 mm
-    # between two of them.
-    rate = 4000.0
+    rate = CONTACT_RATE_HZ
     for time in sample_times(plan.duration, rate):
         # Up to the first sample of the next stretch.
         end = min(time[-1] + 1.0 / rate, plan.duration)

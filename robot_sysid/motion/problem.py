@@ -44,6 +44,8 @@ A peak between two of 25 points per period is cos(pi / 25) = 0.992 of itself at 
 """
 OBSTACLE_LENGTH = 0.05
 """A slack of minus this length [m] counts as much as exceeding a limit by 100 %."""
+LEVEL_COSINE = 0.9
+"""Cosine of the steepest slope, of 26 degrees, of a half-space that is the ground itself."""
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
 
@@ -291,7 +293,9 @@ def _above_base(robot: RobotModel, limits: Limits, start_pose: Array) -> Limits:
     with the joints at ``start_pose`` (n,).
     """
     base = mounting_plane(robot, start_pose)
-    # The cosine of a slope: a plane that is less steep is a ground.
-    if base is None or any(space.normal @ base.normal > 0.9 for space in limits.spaces):
+    if base is None:
+        return limits
+    slopes = [space.normal @ base.normal for space in limits.spaces]
+    if any(slope > LEVEL_COSINE for slope in slopes):
         return limits
     return replace(limits, spaces=(*limits.spaces, base))

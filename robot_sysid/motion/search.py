@@ -57,6 +57,34 @@ INFORMATION_POINTS = slice(1, None, 3)
 REPAIRS = (1.0, *(1.0 - 1e-3 * 2.0 ** np.arange(10)), 0.2, 0.1)
 """Factors by which a motion that breaks a limit is scaled down, tried in turn until it keeps all
 limits."""
+SHRINKING = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
+"""Factors by which a random trajectory is scaled down, tried in turn until it keeps all limits on
+the grid: what is smaller tells next to nothing."""
+LONGEST_PERIOD = 60.0
+"""Longest period of a trajectory's series [s]: a longer one repeats itself, so that the time of a
+search grows only in proportion to the duration."""
+FADE = 1.5
+"""Longest time in which a motion leaves its start [s]: to leave it by 1 rad takes 7.5 / 1.5^2 = 3.3
+rad/s^2, a quarter of the acceleration of a sinusoid of 1 rad at 0.6 Hz. Short ones have a quarter
+of their duration."""
+BETWEEN_POINTS = 0.003
+"""Distance that the search keeps beyond the required one [m]: a pair that approaches at 9 cm/s
+comes so much nearer in half a step of the grid, 0.033 s."""
+SINGULAR = 1e6
+"""The criterion where it is infinite: the optimiser needs a number."""
+LEAST_GAIN = 0.01
+"""Gain of a round in the mean standard deviation, relative, below which a search ends. On most
+public arms another minute of search would then gain at most 5 %."""
+LEAST_LEAD = 0.05
+"""How much better the motion that breaks limits is than the best that keeps them, relative, for a
+search to go on without a gain: a round may only adapt the multipliers, and the next one turns that
+lead into a gain."""
+MIDDLE = (0.2, 0.8)
+"""Part of each joint's range about whose positions random trajectories oscillate."""
+APPROACH_SHARE = 0.7
+"""Largest share of any limit that the way to such a position and back takes."""
+LEAST_AMPLITUDE = 0.2
+"""Spread of a random harmonic's coefficient at least, over that of the largest."""
 SEARCHING = "Searching for the best motion"
 """Label of the search's progress."""
 clock = time.monotonic
@@ -95,9 +123,7 @@ class Design:
         self.problem = problem
         self.options = options
         self.duration = motion.duration
-        # A trajectory of more than a minute repeats itself, so that the time of a search grows only
-        # in proportion to its duration.
-        base = math.ceil(self.duration / 60.0) / self.duration
+        base = math.ceil(self.duration / LONGEST_PERIOD) / self.duration
         # At least three. A quotient that rounding puts just below a whole number counts as that.
         count = max(3, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         self.size = 2 * count + 1
@@ -106,9 +132,7 @@ class Design:
         frequency = base * np.concatenate(([0.0], number, number))
         phase = 0.5 * np.pi * np.repeat((1.0, 0.0, 1.0), (1, count, count))
         self._waves = frequency, phase
-        # To leave the start by 1 rad in 1.5 s takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the
-        # acceleration of a sinusoid of 1 rad at 0.6 Hz.
-        self._fade = min(1.5, 0.25 * self.duration)
+        self._fade = min(FADE, self.duration / 4.0)
         top = self.top_frequency_hz = count * base
         points = math.ceil(GRID_PER_CYCLE * top * self.duration)
         # In these units a step changes the speed equally in all harmonics: L-BFGS needs fewer.
@@ -229,8 +253,7 @@ def penalised_objective(
     multipliers = candidate.multipliers
     motion = design.motion(x)
     value, gradients = design.criterion.with_gradient(motion[:, INFORMATION_POINTS])
-    # A pair that approaches at 9 cm/s comes 3 mm nearer in half a step of the grid, 0.033 s.
-    constraints, by_position = constraints_of(design.problem, motion, extra_slack=0.003)
+    constraints, by_position = constraints_of(design.problem, motion, BETWEEN_POINTS)
     active = np.maximum(0.0, multipliers + constraints)
     penalty = 0.5 * np.sum(active**2 - multipliers**2)
     # Gradients (3, N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
@@ -238,8 +261,7 @@ def penalised_objective(
     adjoints[:, INFORMATION_POINTS] += gradients
     # q, qd and qdd are linear in x, by the basis functions and their derivatives.
     gradient = np.sum([a.T @ f for a, f in zip(adjoints, design.on_grid)], axis=0)
-    # The optimiser needs a number in place of infinity.
-    return min(value, 1e6) + penalty, gradient, active
+    return min(value, SINGULAR) + penalty, gradient, active
 
 
 def first_candidate(design: Design, x: Array) -> Candidate:
@@ -359,12 +381,8 @@ def design_excitation(
             best = improve(design, previous, partial(tick, 0.5 ** (number - 1)))
             candidates = [best]
             gain = previous.feasible_score - best.feasible_score
-            # A round may only adapt the multipliers: the motion that breaks limits then leads, and
-            # the next round turns that lead into a gain.
             lead = best.feasible_score - best.score
-            # Relative, in the mean standard deviation. On most public arms another minute of search
-            # would then gain at most 5 %.
-            if gain < 0.01 and lead < 0.05:
+            if gain < LEAST_GAIN and lead < LEAST_LEAD:
                 break
     except (KeyboardInterrupt, TimeoutError):
         progress.note(
@@ -420,7 +438,7 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
         number: of the trajectory, which depends on both numbers alone.
     """
     full = _draw_within_motion_limits(design, np.random.default_rng([seed, number]))
-    for factor in (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001):
+    for factor in SHRINKING:
         x = factor * full
         motion = design.motion(x)
         value, _ = constraints_of(design.problem, motion)
@@ -438,7 +456,7 @@ def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Arra
     """Return random coefficients (n, M) [rad] of a motion in which each joint uses ``LIMIT_SHARE``
     of its limit of position, speed or acceleration, whichever it reaches first.
 
-    Each joint oscillates about a random position in the middle 60 % of its range. The random
+    Each joint oscillates about a random position in the ``MIDDLE`` of its range. The random
     coefficients of harmonic k are divided by k to a random power between 0 and 1.
     """
     limits = design.problem.limits
@@ -446,13 +464,13 @@ def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Arra
     size = (len(start_pose), design.size)
     # Column 0 is the offset, the others are the harmonics.
     offset = np.zeros(size)
-    middle = rng.uniform(0.2, 0.8, size=len(start_pose))
+    middle = rng.uniform(*MIDDLE, size=len(start_pose))
     offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - start_pose
-    # The way to the offset and back takes at most 70 % of any limit.
     factor = _largest_factor(design, np.zeros_like(offset), offset)
-    offset *= np.minimum(1.0, 0.7 * factor)[:, None]
+    offset *= np.minimum(1.0, APPROACH_SHARE * factor)[:, None]
     decay = design.unit ** rng.uniform(0.0, 1.0)
-    shape = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size) * decay
+    normal = rng.normal(size=size)
+    shape = normal * rng.uniform(LEAST_AMPLITUDE, 1.0, size=size) * decay
     shape[:, 0] = 0.0
     factor = _largest_factor(design, offset, shape)
     return offset + shape * factor[:, None]

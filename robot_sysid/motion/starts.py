@@ -18,6 +18,11 @@ from robot_sysid.records.messages import torque_unit
 from robot_sysid.trajectory import TORQUE_MARGIN
 from robot_sysid.wording import option_name
 
+GENTLE_SPEED = 0.6
+"""Speed limit of gentle motions [rad/s or m/s]."""
+HELD_SHARE = 0.9
+"""Share of the torque limits up to which a pose is held: a tenth is left to accelerate."""
+
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
     """Return the problem with a start where the arm touches nothing and its motors can hold it.
@@ -65,14 +70,14 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
 
 
 def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
-    """Return the problem with half of the torque limits and speed limits of at most 0.6 rad/s or
-    m/s.
+    """Return the problem with half of the torque limits and speed limits of at most
+    ``GENTLE_SPEED``.
 
     Acceleration limits are smaller by the same factor as speed limits, as slower sinusoids of the
     same frequencies need no more.
     """
     limits = problem.limits
-    velocity = np.minimum(limits.velocity, 0.6)
+    velocity = np.minimum(limits.velocity, GENTLE_SPEED)
     acceleration = limits.acceleration * velocity / limits.velocity
     # The arm may need twice what its model says.
     torque = 0.5 * limits.torque
@@ -110,8 +115,7 @@ def _held_poses(problem: ExcitationProblem) -> Array:
     anywhere = rng.uniform(lower, upper, (count, problem.n_joints))
     nearness = np.linspace(1.0 / count, 1.0, count)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
-    # A tenth of the torque limits is left to accelerate.
-    is_held = np.all(_torque_share(problem, poses) < 0.9, axis=1)
+    is_held = np.all(_torque_share(problem, poses) < HELD_SHARE, axis=1)
     poses = poses[is_held & (problem.obstacles.slack(poses)[0] >= 0.0)]
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
     return poses[np.argsort(distance)]

@@ -52,6 +52,11 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from robot_sysid.wording import option_name
 
+HOLDING_ARMATURE = 1e9
+"""Armature that holds a joint still under whatever torque [kg m^2 or kg]."""
+TIMESTEP = 5e-4
+"""Usual length of a step of ``ArmStepper`` [s]."""
+
 
 def plant_measurements(
     plant: RobotModel,
@@ -141,7 +146,7 @@ def forward_model(robot: RobotModel) -> Any:
     model.opt.tolerance = 1e-8
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     held_dofs = np.setdiff1d(np.arange(model.nv), robot.dof_index)
-    model.dof_armature[held_dofs] = 1e9
+    model.dof_armature[held_dofs] = HOLDING_ARMATURE
     model.dof_frictionloss[held_dofs] = 0.0
     if not model.ntendon:
         # Nothing needs the pose of a geom: MuJoCo then takes it from its body.
@@ -185,7 +190,7 @@ class ArmStepper:
         qd: (n,) velocities after the last step [rad/s or m/s].
     """
 
-    def __init__(self, robot: RobotModel, q: Array, timestep: float = 5e-4) -> None:
+    def __init__(self, robot: RobotModel, q: Array, timestep: float = TIMESTEP) -> None:
         self._robot = robot
         self.n_joints = robot.n_joints
         self.timestep = timestep

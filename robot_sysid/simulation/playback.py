@@ -50,6 +50,8 @@ STEP = 0.001
 """Time step of the rollouts [s]."""
 MAX_WINDOWS = 60
 """Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
+DIVERGED = 1e6
+"""Position of a joint, that of a rollout that diverges [rad or m]."""
 NO_ACTUATOR = -1
 """Value in place of a MuJoCo actuator id for a joint without an actuator that a rollout can use."""
 # MuJoCo's bits for the state from which a rollout starts.
@@ -246,10 +248,10 @@ class ServoRollouts:
         # A state is the time, then the positions, then more.
         states = np.concatenate((first[:, None], states), axis=1)
         q = states[:, :, 1 + self.robot.qpos_index]
-        # Positions of a rollout that diverges become huge; its clock stands still, or starts again.
+        # Its clock stands still, or starts again, where a rollout diverges.
         timestep = model.opt.timestep
         late = timestep * np.arange(q.shape[1]) - states[:, :, 0]
-        is_well = np.all(np.abs(q) < 1e6, axis=2) & (late < 0.5 * timestep)
+        is_well = np.all(np.abs(q) < DIVERGED, axis=2) & (late < 0.5 * timestep)
         q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
         return q
 
