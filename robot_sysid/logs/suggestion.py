@@ -58,7 +58,7 @@ class Suggestion:
     """A line of declarations that a log lacks, as far as it is known.
 
     Attributes:
-        entries: key to value of the line, without units.
+        entries: key to value of the line; units are those below, at the place of those given here.
         units: of the line.
         reasons: sentences on columns, and on what their numbers told.
         further: options that it needs beside.

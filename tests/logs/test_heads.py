@@ -27,6 +27,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import read_columns
+from robot_sysid.logs.matching import match_alike
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import ColumnMap
 
@@ -158,3 +159,23 @@ def test_the_head_of_a_log_is_read_as_the_corpus_says(tmp_path, name):
     block = HEADS[name]
     check = next(check for key, check in CHECKS.items() if key in block)
     check(block, tmp_path)
+
+
+RECOGNISED = [
+    name for name, b in HEADS.items() if "position" in b and "columns" not in b
+]
+
+
+@pytest.mark.parametrize("name", RECOGNISED)
+def test_what_is_likely_does_not_contradict_what_is_certain(tmp_path, name):
+    """Columns alike that a map has for certain are likely that quantity, of the same joints."""
+    block = HEADS[name]
+    columns = map_of(block, tmp_path)
+    joints = joints_of(block)
+    titles = [read_title(title, joints) for title in columns.titles]
+    alike = {frozenset(match.columns): match for match in match_alike(titles, joints)}
+    for quantity in ("position", "torque", "velocity"):
+        indices = tuple(column.index for column in getattr(columns, quantity))
+        match = alike.get(frozenset(indices))
+        if match:
+            assert (match.quantity, match.columns) == (quantity, indices)
