@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from math import isfinite
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Optional, TypeVar
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -44,7 +44,7 @@ class OutputOptions(OptionRecord):
     No file replaces ``config``, the file that the options come from.
     """
 
-    config: Path | None = None
+    config: Optional[Path] = None
     output_dir: Path = option(
         Path("sysid_output"), "folder for the results", "DIR", parse=parse_folder
     )
@@ -52,7 +52,7 @@ class OutputOptions(OptionRecord):
         False, "also write report.html, a page with figures of the result"
     )
     links: bool = option(False, "print every link, not only the last one")
-    torque_from: str | None = option(
+    torque_from: Optional[str] = option(
         None,
         "no torque was measured: find servos, friction and rotor inertia from commanded and "
         "measured positions",
@@ -308,7 +308,7 @@ class LogConfig(Config):
 class CardOptions(OptionRecord):
     """For which simulators the identified arm is written beside the model."""
 
-    cards: str | None = option(
+    cards: Optional[str] = option(
         None,
         "also write the numbers of the model as a Python file for this simulator, or for all",
         choices=(ALL, *SIMULATORS),
@@ -368,20 +368,20 @@ class PayloadOptions(OptionRecord):
     loaded: tuple[Path, ...] = option(
         (), "logs of the arm with the payload", "LOG", takes_many=True
     )
-    order: str | None = option(
+    order: Optional[str] = option(
         None,
         "order in which the logs were recorded, A for the next empty one and B for the next "
         "loaded one, such as ABBA; a drift of friction is then estimated",
         "LETTERS",
         default_text="from the logs' clock, where they share one",
     )
-    flange: str | None = option(
+    flange: Optional[str] = option(
         None,
         "frame of the payload: a site or body fixed to the terminal body, or x,y,z in metres",
         "FRAME",
         default_text="found by its name, else the terminal body's",
     )
-    as_body: str | None = option(
+    as_body: Optional[str] = option(
         None,
         "write the payload as a welded body of this name instead of merging it into the terminal "
         "link",
@@ -393,12 +393,12 @@ class PayloadOptions(OptionRecord):
         "in its model, those of all, or the one that is named",
         choices=CHOICES,
     )
-    known_mass: float | None = option(
+    known_mass: Optional[float] = option(
         None,
         "the payload is a weight of this mass: estimate each joint's torque scale with it",
         "KG [kg] > 0",
     )
-    save_torque_scale: Path | None = option(
+    save_torque_scale: Optional[Path] = option(
         None, "with {known_mass}, write the scales as a file for {torque_scale}", "FILE"
     )
 

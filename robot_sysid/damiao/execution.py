@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 
@@ -63,11 +63,11 @@ from robot_sysid.wording import option_name, option_setting
 class ArmFiles(OptionRecord):
     """The trajectory to play, and the files that say what its arm is."""
 
-    trajectory: Path | None = option(
+    trajectory: Optional[Path] = option(
         None, "damiao_trajectory.csv", "TRAJECTORY", flag="trajectory"
     )
-    model: Path | None = option(None, "MJCF or URDF of the arm", "MODEL")
-    joint_map: Path | None = option(
+    model: Optional[Path] = option(None, "MJCF or URDF of the arm", "MODEL")
+    joint_map: Optional[Path] = option(
         None, "how each joint's motor is mounted (see: motors map)", "FILE"
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Optional
 
 from robot_sysid.records.option_fields import OptionRecord, PerJoint, option
 
@@ -19,7 +20,7 @@ class SimulatedArmOptions(OptionRecord):
         save_measurements: CSV file to write the measurements to.
     """
 
-    plant_model: Path | None = option(
+    plant_model: Optional[Path] = option(
         None, "model that plays the real arm and makes the torques", "TRUTH.xml"
     )
     noise_torque: PerJoint = option(
@@ -28,6 +29,6 @@ class SimulatedArmOptions(OptionRecord):
         "S [N·m] >= 0",
     )
     encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
-    save_measurements: Path | None = option(
+    save_measurements: Optional[Path] = option(
         None, "write the simulated measurements as a log", "FILE"
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Optional
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class MapOptions(OptionRecord):
         False,
         "zeros from both end stops of each joint, in place of the model's own pose",
     )
-    joint_map: Path | None = option(
+    joint_map: Optional[Path] = option(
         None,
         "with {zeros_at_stops}: begin with this map, and renew its zeros alone",
         "FILE",

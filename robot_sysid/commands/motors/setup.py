@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Optional
 
 import numpy as np
 
@@ -50,11 +51,13 @@ from robot_sysid.records.option_fields import (
 class SetupOptions(OptionRecord):
     """Changes of one motor by ``motors setup``; without any, the motors are listed."""
 
-    motor: int | None = option(None, "CAN id of the motor to change", "ID")
-    new_id: int | None = option(None, "new CAN id", "ID")
-    new_master_id: int | None = option(None, "new id it answers on", "ID")
+    motor: Optional[int] = option(None, "CAN id of the motor to change", "ID")
+    new_id: Optional[int] = option(None, "new CAN id", "ID")
+    new_master_id: Optional[int] = option(None, "new id it answers on", "ID")
     mit: bool = option(False, "set the control mode to MIT")
-    watchdog: float | None = option(None, "set its watchdog, 0 for none", "S [s] >= 0")
+    watchdog: Optional[float] = option(
+        None, "set its watchdog, 0 for none", "S [s] >= 0"
+    )
     clear_error: bool = option(False, "clear its error, once you know its cause")
     store: bool = option(False, "keep the changes when the power goes off")
 
@@ -63,7 +66,7 @@ class SetupOptions(OptionRecord):
 class MonitorOptions(OptionRecord):
     """Options of ``motors monitor``, which goes on until Ctrl-C without ``lifetime``."""
 
-    lifetime: float | None = option(
+    lifetime: Optional[float] = option(
         None, "end after this time", "S [s] > 0", flag="--for", default_text="Ctrl-C"
     )
 
