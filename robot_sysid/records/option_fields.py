@@ -264,12 +264,15 @@ def command_arguments(
     return arguments
 
 
-def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record:
+def record_from(
+    record_class: type[Record], values: Mapping[str, Any], default: Record | None = None
+) -> Record:
     """Return a record of a class, with a value for each option that ``values`` has by its key.
 
-    All other options have their defaults; keys that are no options of this class are ignored. A
-    text is parsed as on the command line, a list or array becomes a tuple. Raises InputError where
-    a value has another type than its option, or fails its check.
+    All other options have their defaults, or are those of the record ``default``; keys that are no
+    options of this class are ignored. A text is parsed as on the command line, a list or array
+    becomes a tuple. Raises InputError where a value has another type than its option, or fails its
+    check.
     """
     arguments = {}
     for name, stated in options_of(record_class).items():
@@ -277,6 +280,8 @@ def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record
             value = values[stated.key]
             is_default = value is None and stated.default is None
             arguments[name] = None if is_default else _checked_value(stated, value)
+    if default is not None:
+        return replace(default, **arguments)  # type: ignore[type-var]
     return record_class(**arguments)
 
 

@@ -29,7 +29,7 @@ from robot_sysid.damiao.joints import map_joints as select_rows
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
 from robot_sysid.records.file_access import require_writable
-from robot_sysid.records.option_fields import OptionRecord, option, record_from
+from robot_sysid.records.option_fields import OptionRecord, option
 from robot_sysid.wording import option_name
 
 # Names of the negative and the positive direction of each axis of the world.
@@ -79,13 +79,12 @@ def movement_texts(robot: RobotModel) -> Iterator[str]:
         yield f"{text} {_DIRECTIONS[axis][int(vector[axis] > 0.0)]}"
 
 
-def map_joints(session: Session) -> int:
+def map_joints(session: Session, options: MapOptions) -> int:
     """Write the joint map that a person shows by moving the limp arm; return the exit code 0.
 
     InputError where the map's file exists already or cannot be written, before the arm is moved;
     other errors are those of ``mounted_by_hand``, ``zeros_at_pose`` and ``zeros_at_stops``.
     """
-    options = record_from(MapOptions, session.values)
     robot = session.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")

@@ -38,13 +38,7 @@ from robot_sysid.damiao.protocol import (
     status_text,
 )
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
-from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    given_values,
-    option,
-    record_from,
-)
+from robot_sysid.records.option_fields import OptionRecord, given_values, option
 
 
 @dataclass(frozen=True)
@@ -82,18 +76,17 @@ def list_motors(session: Session, link: GuardedLink) -> Mapping[int, InspectedMo
     return motors
 
 
-def setup(session: Session) -> int:
+def setup(session: Session, options: SetupOptions) -> int:
     """List the motors on a bus, change one of them if the options say so; return the exit code 0.
 
     Errors are those of ``change_motor``, ``list_motors`` and ``_motor_to_change``, and InputError
     for a change without --motor.
     """
-    options = record_from(SetupOptions, session.values)
     changes = given_values(options).keys() - {"motor"}
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     # A model that cannot be read is refused before a motor is changed.
-    session.require_model_for(*vars(ModelOptions()))
+    session.options.require_model()
     robot = session.robot
     with session.open_guarded(is_motion) as link:
         motors = list_motors(session, link)
@@ -204,12 +197,11 @@ def _motor_to_change(
     return motor
 
 
-def monitor(session: Session) -> int:
+def monitor(session: Session, options: MonitorOptions) -> int:
     """Print the motors' states at every interval, without enabling them; return the exit code 0.
 
     It ends with Ctrl-C or after the lifetime of the options. SysidError where no motor answers.
     """
-    options = record_from(MonitorOptions, session.values)
     with session.open_guarded(is_motion) as link:
         client = RegisterClient(link)
         motors = list_motors(session, link).values()
