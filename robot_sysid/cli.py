@@ -65,10 +65,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             values, console = command.parse(arguments)
             return command.run(values, console)
         except SysidError as error:
-            message = f"{error}{_write_columns_draft(error)}"
-            for line in remedies(error, name, arguments, values):
-                message += f"\n  {line}"
-            return _report_error(message, error.exit_code, debug)
+            stated = _with_columns_file(error)
+            lines = [str(stated)]
+            for line in remedies(stated, name, arguments, values):
+                lines.append(f"  {line}")
+            return _report_error("\n".join(lines), error.exit_code, debug)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
             message = f"the memory is not enough; {remedy}"
@@ -79,23 +80,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _report_unexpected(error, debug)
 
 
-def _write_columns_draft(error: SysidError) -> str:
-    """Write the columns file that puts a log right; one that exists has the same text.
+def _with_columns_file(error: SysidError) -> SysidError:
+    """Write the columns file that puts a log right, and return the error that says so.
 
-    Returns:
-        The end of the message, which says what the file is; "" where there is none.
+    A file that exists has the same text. Without the file no option remedies the error. Any other
+    error is returned as it is.
     """
     if not isinstance(error, ColumnsError):
-        return ""
+        return error
     try:
         with open(error.name, "x", encoding="utf-8") as file:
             file.write(error.draft)
     except FileExistsError:
         pass
     except OSError:
-        error.options = ()
-        return ""
-    return f". {error.name} has the columns put right: read it, and go on with it:"
+        return InputError(str(error))
+    text = (
+        f"{error}. {error.name} has the columns put right: read it, and go on with it:"
+    )
+    return error.with_message(text, error.command_lines)
 
 
 def _find_command(arguments: Sequence[str]) -> Command:

@@ -439,13 +439,11 @@ class PayloadConfig(LogConfig):
         if payload.empty and payload.loaded:
             return
         missing = option_name("loaded" if payload.empty else "empty", "LOG...")
-        error = InputError(
+        logs = payload.empty or payload.loaded
+        identify = ["identify", *map(str, (self.model.path, *logs))]
+        raise InputError(
             f"{missing} is missing: a payload is weighed by the difference between logs without "
             "and with it. Logs of one kind show the last link with all that is on it; identify "
-            "says what that is beyond the model, as far as the model's other links are right"
+            "says what that is beyond the model, as far as the model's other links are right",
+            command_lines=[identify] if logs else [],
         )
-        logs = payload.empty or payload.loaded
-        if logs:
-            words = (self.model.path, *logs)
-            error.command_lines = [["identify", *map(str, words)]]
-        raise error

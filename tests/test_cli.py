@@ -265,9 +265,7 @@ def test_corrected_columns_take_the_place_of_those_in_use(
     monkeypatch, tmp_path, capsys
 ):
     def refuse(command, arguments):
-        error = ColumnsError("wrong", "a = b", "new.txt")
-        error.options = (("--columns", "new.txt"),)
-        raise error
+        raise ColumnsError("wrong", "a = b", "new.txt", [("--columns", "new.txt")])
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("robot_sysid.commands.arguments.Command.parse", refuse)

@@ -444,8 +444,8 @@ def run(
             )
             report = player.play(activity)
     except HardwareAbort as stopped:
-        stopped.report = player and player.report
-        raise
+        report_until_then = player and player.report
+        raise type(stopped)(str(stopped), report_until_then) from stopped
     finally:
         console.finish()
     for failure in filter(None, (writer.failure, console.failure)):
