@@ -57,6 +57,10 @@ SCALE = "torque_scale"
 """Key of the table of torque scales in a file."""
 CONSTANTS = "torque_constants"
 """Key of the table of torque constants in a file [N m/A]."""
+LEAST_LIKENESS = 0.7
+"""How alike two words are, from 0 to 1 of ``difflib``, of which one may be meant by the other."""
+MOST_SAMPLES = 1e9
+"""Largest number of samples of a trajectory: a run of that many takes days."""
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints for which neither the user states one nor the model a lower one
 [rad/s]."""
@@ -383,7 +387,7 @@ def suggestion(word: str, valid_words: Iterable[str]) -> str:
     """Return "did you mean X?" with the valid word that is most like a word, "" for none."""
     from difflib import get_close_matches
 
-    matches = get_close_matches(word, valid_words, n=1, cutoff=0.7)
+    matches = get_close_matches(word, valid_words, n=1, cutoff=LEAST_LIKENESS)
     return f"did you mean {matches[0]}?" if matches else ""
 
 
@@ -634,11 +638,10 @@ def require_countable(duration: float, sample_rate: float) -> None:
         sample_rate: number of samples per second [Hz].
     """
     count = duration * sample_rate
-    most = 1e9  # which takes days
-    if not count <= most:
+    if not count <= MOST_SAMPLES:
         raise InputError(
             f"a trajectory of {duration:.3g} s with "
             f"{option_name('sample_rate', f'{sample_rate:g}')} has {count:.3g} samples, more than "
-            f"the {most:.0e} a run can take; shorten it, raise {option_name('speed')} where that "
-            "slows it down, or lower the rate"
+            f"the {MOST_SAMPLES:.0e} a run can take; shorten it, raise {option_name('speed')} where "
+            "that slows it down, or lower the rate"
         )

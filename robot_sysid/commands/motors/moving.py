@@ -37,6 +37,8 @@ from robot_sysid.wording import option_setting
 ROW_TIME = 0.02
 """Time from row to row of the motion that is checked [s]: at 0.2 rad/s a joint moves by 0.004 rad,
 and what lies between two rows is a straight line."""
+PEAK_SPEED = 15.0 / 8.0
+"""Peak over mean speed of a transfer, whose way is a polynomial of fifth degree in time."""
 OTHER_POSE = "move to another pose, or bring the arm elsewhere by hand"
 """Remedy for a way that leaves an arm's limits, or on which something touches."""
 
@@ -91,7 +93,7 @@ def moving_plan(standing: Plan, robot: RobotModel, goal: Array) -> Plan:
         Reference(start, nothing, nothing),
         Reference(goal, nothing, nothing),
         settings.approach_speed,
-        max(settings.approach_time, 15.0 / 8.0 * longest / settings.approach_speed),
+        max(settings.approach_time, PEAK_SPEED * longest / settings.approach_speed),
         # The torques of all rows follow at once, below.
         HoldingTorque(joints, np.zeros_like, nothing),
     )

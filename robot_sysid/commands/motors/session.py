@@ -26,6 +26,9 @@ from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import OptionRecord, command_arguments, option
 
+FIRST_SPEED = 0.3
+"""Share of the planned speed at which a motion is played first: someone who watches has the time to
+stop the arm."""
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
 
@@ -310,7 +313,7 @@ def play_step(session: Session, plan: Plan) -> NextStep:
     """
     options = {
         "channel": USUAL_CHANNEL,
-        "speed": 0.3,
+        "speed": FIRST_SPEED,
         "record": plan.trajectory.path.with_name("slow.csv"),
         **session.options.given,
     }

@@ -40,6 +40,10 @@ from robot_sysid.damiao.protocol import (
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.records.option_fields import OptionRecord, given_values, option
 
+STORING_TIME = 0.05
+"""Time that a motor is left alone to write its flash memory [s]: longer than it takes (a
+judgement)."""
+
 
 @dataclass(frozen=True)
 class SetupOptions(OptionRecord):
@@ -164,8 +168,7 @@ def change_motor(
     if options.store:
         require_disabled()
         link.send(register_frame(STORE, ids[Register.ESC_ID], register=1))
-        # Longer than a motor takes to write its flash memory (a judgement).
-        link.clock.sleep_until(link.clock.now() + 0.05)
+        link.clock.sleep_until(link.clock.now() + STORING_TIME)
         yield f"{motor.name} keeps its values when the power goes off"
 
 
