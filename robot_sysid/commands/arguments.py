@@ -23,14 +23,21 @@ MODEL = (
     ),
 )
 """The model file that most commands take first."""
-LOG = options.Option(
-    "log",
-    "file or folder of the recording; or its positions in one and its torques in another",
-    metavar="LOG",
-    parse=Path,
-    takes_many=True,
-)
-"""The log that commands take which fit none."""
+
+
+@dataclass(frozen=True)
+class LogArgument(options.FileArguments):
+    """The log that commands take which fit none."""
+
+    log: tuple[Path, ...] = options.option(
+        (),
+        "file or folder of the recording; or its positions in one and its torques in another",
+        "LOG",
+        flag="log",
+        takes_many=True,
+    )
+
+
 CONSOLE = options.options_of_all(ConsoleOptions)
 """Options that all commands have."""
 

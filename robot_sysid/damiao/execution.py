@@ -51,6 +51,7 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import (
+    FileArguments,
     Option,
     OptionRecord,
     given_values,
@@ -64,7 +65,7 @@ from robot_sysid.wording import option_name, option_setting
 
 
 @dataclass(frozen=True)
-class ArmFiles(OptionRecord):
+class ArmFiles(FileArguments):
     """The trajectory to play, and the files that say what its arm is."""
 
     trajectory: Optional[Path] = option(
@@ -74,9 +75,6 @@ class ArmFiles(OptionRecord):
     joint_map: Optional[Path] = option(
         None, "how each joint's motor is mounted (see: motors map)", "FILE"
     )
-
-    def __post_init__(self) -> None:
-        """Check nothing: whoever reads a file says what it has to be."""
 
 
 MODEL_LIMITS = "workspace", "keep_out", "clearance"

@@ -163,6 +163,14 @@ class OptionRecord:
                     raise InputError(f"{stated.name} {complaint}")
 
 
+@dataclass(frozen=True)
+class FileArguments(OptionRecord):
+    """Base of records of files that are passed on: whoever reads one says what it has to be."""
+
+    def __post_init__(self) -> None:
+        """Check nothing."""
+
+
 def option(
     default: Any, help: str, value: str = "", flag: str = "", **attributes: Any
 ) -> Any:
@@ -642,6 +650,6 @@ def require_countable(duration: float, sample_rate: float) -> None:
         raise InputError(
             f"a trajectory of {duration:.3g} s with "
             f"{option_name('sample_rate', f'{sample_rate:g}')} has {count:.3g} samples, more than "
-            f"the {MOST_SAMPLES:.0e} a run can take; shorten it, raise {option_name('speed')} where "
-            "that slows it down, or lower the rate"
+            f"the {MOST_SAMPLES:.0e} a run can take; shorten it, raise {option_name('speed')} "
+            "where that slows it down, or lower the rate"
         )
