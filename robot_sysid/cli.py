@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = ""
     values: Mapping[str, Any] = {}
     interrupted = "interrupted"
-    with _record_interrupts(process_ends=argv is None) as interrupts:
+    with record_interrupts(process_ends=argv is None) as interrupts:
         try:
             if arguments == ["--version"]:  # It takes no options.
                 print_line(f"{PROGRAM} {__version__}", sys.stdout)
@@ -123,7 +123,7 @@ def _find_command(arguments: Sequence[str]) -> Command:
 
 
 @contextlib.contextmanager
-def _record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
+def record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
     """Turn stop signals into KeyboardInterrupt; yield a list to which each signal is added.
 
     A compiled module that is interrupted while it is imported turns KeyboardInterrupt into an
@@ -182,12 +182,12 @@ def _report_error(message: str, code: int, debug: bool) -> int:
 
         traceback.print_exc()
     with contextlib.suppress(InputError):
-        for line in _message_lines(f"{PROGRAM}: error: {message}"):
+        for line in message_lines(f"{PROGRAM}: error: {message}"):
             print_line(line, sys.stderr)
     return code
 
 
-def _message_lines(message: str) -> list[str]:
+def message_lines(message: str) -> list[str]:
     """Return the lines of an error message: its text on one line, each command on its own.
 
     Text behind a command begins a line again. A very long text is shortened in its middle.

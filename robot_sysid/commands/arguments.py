@@ -144,6 +144,11 @@ class Parser(argparse.ArgumentParser):
             help_group.add_argument(*flags, dest=option.key, **settings)
         return help_group
 
+    @property
+    def actions(self) -> list[argparse.Action]:
+        """All arguments and options, also those that the short help leaves out."""
+        return self._actions
+
     def format_help(self) -> str:
         """Return the example, then the overview if there is one, the usage and all options."""
         example = f"example: {PROGRAM} {self._command.example}"

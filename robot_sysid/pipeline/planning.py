@@ -87,7 +87,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     """
     prediction, lines = predict_plan(config, checked)
     failure = checked.failure
-    shortfall = _shortfall(config, prediction)
+    shortfall = purpose_shortfall(config, prediction)
     paths: tuple[Path, ...] = ()
     step = None
     if failure:
@@ -197,7 +197,7 @@ def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
     return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
 
 
-def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
+def purpose_shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """Return why nothing gets better by a motion, the written file or a weighing; "" if it does.
 
     Args:
