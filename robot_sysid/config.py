@@ -173,7 +173,7 @@ class Config:
                 yield option_name(key), path
 
 
-def _fixed(record: OptionRecord) -> Any:
+def _fixed_record(record: OptionRecord) -> Any:
     """Return the dataclass field of a record of options that the command does not have."""
     return field(default=record, metadata={"fixed": True})
 
@@ -192,10 +192,10 @@ class MotionConfig(Config):
     """
 
     trajectory: TrajectoryOptions = TrajectoryOptions()
-    excitation: ExcitationOptions = _fixed(ExcitationOptions(kind="sines"))
+    excitation: ExcitationOptions = _fixed_record(ExcitationOptions(kind="sines"))
     # Without a plan's options, of a self-test, the terminal link is what is identified.
-    aim: AimOptions = _fixed(AimOptions(purpose="link"))
-    limits: LimitOptions = _fixed(LimitOptions())
+    aim: AimOptions = _fixed_record(AimOptions(purpose="link"))
+    limits: LimitOptions = _fixed_record(LimitOptions())
     estimation: EstimationOptions = EstimationOptions()
     motors: MotorOptions = MotorOptions()
 

@@ -92,8 +92,9 @@ class Result(Identification):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of params.json (see docs/formats.md), without cards."""
-        content = content_of(self)
-        return {**content, "verdict": [verdict_line(content)]}
+        with in_python():
+            content = content_of(self)
+            return {**content, "verdict": [verdict_line(content)]}
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write params.json, the data of a later report and, where trusted, the updated model.
