@@ -24,6 +24,7 @@ from robot_sysid.records.option_fields import (
     SCALE,
     Option,
     OptionRecord,
+    PathUse,
     TrajectoryOptions,
     joint_factors,
     option,
@@ -46,7 +47,11 @@ class OutputOptions(OptionRecord):
 
     config: Optional[Path] = None
     output_dir: Path = option(
-        Path("sysid_output"), "folder for the results", "DIR", parse=parse_folder
+        Path("sysid_output"),
+        "folder for the results",
+        "DIR",
+        parse=parse_folder,
+        path_use=PathUse.FOLDER,
     )
     report: bool = option(
         False, "also write report.html, a page with figures of the result"
@@ -84,12 +89,6 @@ class MotorOptions(OptionRecord):
             raise InputError(
                 f"{option_name('motor_type')} requires {option_name('export_damiao')}"
             )
-
-
-# Keys of options that name a folder.
-_FOLDERS = ("output_dir", "mesh_dir")
-# Part of the keys of options that name a file to write.
-_WRITTEN = "save_"
 
 
 @dataclass(frozen=True)
@@ -151,26 +150,24 @@ class Config:
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
-        files = [path for key, path in self._files() if _WRITTEN not in key]
+        files = [path for _, path in self._files(PathUse.READS)]
         return (self.model.path, self.output.config, *files)
 
-    def _files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (key, path) of each file that an option names."""
+    def _files(self, use: PathUse) -> Iterator[tuple[Option, Path]]:
+        """Yield (option, path) of each file that an option names for one use."""
         for record in vars(self).values():
-            for key, value in option_fields.given_values(record).items():
+            for name, stated in options_of(record).items():
+                value = getattr(record, name)
                 value = value.file if isinstance(value, Priors) else value
-                leaves = option_fields.leaves(value)
-                paths = [path for path in leaves if isinstance(path, Path)]
-                if key not in _FOLDERS:
-                    yield from ((key, path) for path in paths)
+                leaves = option_fields.leaves(value) if stated.path_use is use else ()
+                yield from ((stated, leaf) for leaf in leaves if isinstance(leaf, Path))
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
         for name in file_access.RESULT_NAMES:
             yield "--output-dir", self.output.output_dir / name
-        for key, path in self._files():
-            if _WRITTEN in key:
-                yield option_name(key), path
+        for stated, path in self._files(PathUse.WRITES):
+            yield stated.name, path
 
 
 def _fixed_record(record: OptionRecord) -> Any:
@@ -256,8 +253,10 @@ class SelfTestConfig(MotionConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for key in option_fields.given_values(self.arm):
-            if self.arm.plant_model is None and key != "save_measurements":
+        # Measurements are written of the model itself, too.
+        of_plant = replace(self.arm, save_measurements=None)
+        for key in option_fields.given_values(of_plant):
+            if self.arm.plant_model is None:
                 raise InputError(
                     f"{option_name(key)} belongs to a simulated plant; add "
                     f"{option_name('plant_model')} (the model file itself will do)"
@@ -329,9 +328,10 @@ class IdentifyConfig(LogConfig):
         if self.output.torque_from is None:
             return
         useless = [*option_fields.given_values(self.estimation)]
-        for key in ("torque_scale", "torque_constants"):
-            if key in option_fields.given_values(self.log):
-                useless.append(key)
+        if self.log.torque_scale is not None:
+            useless.append("torque_scale")
+        if self.log.torque_constants is not None:
+            useless.append("torque_constants")
         if self.output.report or self.output.links:
             useless.append("report")
         for key in useless:
@@ -399,7 +399,10 @@ class PayloadOptions(OptionRecord):
         "KG [kg] > 0",
     )
     save_torque_scale: Optional[Path] = option(
-        None, "with {known_mass}, write the scales as a file for {torque_scale}", "FILE"
+        None,
+        "with {known_mass}, write the scales as a file for {torque_scale}",
+        "FILE",
+        path_use=PathUse.WRITES,
     )
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Optional
 
-from robot_sysid.records.option_fields import OptionRecord, option
+from robot_sysid.records.option_fields import OptionRecord, PathUse, option
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,10 @@ class ModelOptions(OptionRecord):
 
     path: Path = Path()
     mesh_dir: Optional[Path] = option(
-        None, "folder of the mesh files", default_text="what the model says"
+        None,
+        "folder of the mesh files",
+        default_text="what the model says",
+        path_use=PathUse.FOLDER,
     )
     joint: Optional[str] = option(
         None, "terminal joint", "NAME", default_text="found automatically"

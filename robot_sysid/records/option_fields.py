@@ -19,6 +19,7 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from enum import Enum
 from functools import cache
 from itertools import chain
 from keyword import iskeyword
@@ -73,6 +74,14 @@ Record = TypeVar("Record")
 _VALUE_FORM = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
 
 
+class PathUse(Enum):
+    """What a command does with the path that an option names."""
+
+    READS = "reads the file"
+    WRITES = "writes the file"
+    FOLDER = "looks or writes into the folder"
+
+
 @dataclass(frozen=True)
 class ValueKind:
     """What the type of a field says of its option's values.
@@ -108,6 +117,7 @@ class Option:
         repeats: whether the flag may stand several times, each with one value.
         takes_many: whether any number of values may follow the flag.
         short: another flag of one letter, such as "-v"; "" for none.
+        path_use: what is done with a path that is its value.
     """
 
     flag: str
@@ -123,6 +133,7 @@ class Option:
     repeats: bool = False
     takes_many: bool = False
     short: str = ""
+    path_use: PathUse = PathUse.READS
 
     @property
     def key(self) -> str:
@@ -626,6 +637,7 @@ class TrajectoryOptions(OptionRecord):
         "write the trajectory as JSON (coefficients), and as CSV (samples) beside it",
         "FILE",
         flag="--save-trajectory",
+        path_use=PathUse.WRITES,
     )
 
     def __post_init__(self) -> None:

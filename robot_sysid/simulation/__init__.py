@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Optional
 
-from robot_sysid.records.option_fields import OptionRecord, PerJoint, option
+from robot_sysid.records.option_fields import OptionRecord, PathUse, PerJoint, option
 
 
 @dataclass(frozen=True)
@@ -30,5 +30,8 @@ class SimulatedArmOptions(OptionRecord):
     )
     encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
     save_measurements: Optional[Path] = option(
-        None, "write the simulated measurements as a log", "FILE"
+        None,
+        "write the simulated measurements as a log",
+        "FILE",
+        path_use=PathUse.WRITES,
     )
