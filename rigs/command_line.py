@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from robot_sysid.cli import main
@@ -13,8 +14,22 @@ COMMANDS = {
     for command in module.COMMANDS
 }
 """Every command by its name."""
+_KEYS = {
+    option.key
+    for command in COMMANDS.values()
+    for options in command.groups.values()
+    for option in options
+}
+# The place of an option's name in a constant: "{known_mass}", "{columns FILE}" or "{units=deg}".
+_FIELD = re.compile(rf"\{{({'|'.join(sorted(_KEYS))})( [A-Z.]+|=[^{{}}]*)?\}}")
 OUT = Path("sysid_output")
 """Where results are written in the working folder unless another folder is named."""
+
+
+def require_names(text: str) -> None:
+    """Fail where a text that a person reads has a field in the place of an option's name."""
+    field = _FIELD.search(text)
+    assert field is None, f"{field and field[0]} is in: {text}"
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
@@ -38,6 +53,7 @@ def run_motors(capsys, *arguments):
     """Run ``motors``; return exit code, output and the error: one line, and a command below."""
     code = main(["motors", *words_of(arguments)])
     out, err = capsys.readouterr()
+    require_names(out + err)
     text = [line for line in err.splitlines() if not line.startswith("  robot-sysid ")]
     assert len(text) <= 1, err
     return code, out, err
@@ -61,6 +77,7 @@ class CommandLine:
         exit_code = main(words_of(arguments))
         printed = self._capsys.readouterr()
         assert exit_code == code, printed.err
+        require_names(printed.out + printed.err)
         return printed
 
     def refused(self, *arguments, code: int = 2) -> str:

@@ -6,13 +6,12 @@ tested from the day it is there.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands.arguments import CONSOLE
+from robot_sysid.commands.arguments import CONSOLE, Parser
 from robot_sysid.config import Config
 from robot_sysid.estimate.options import Priors
 from robot_sysid.records.option_fields import Option, command_arguments
@@ -52,10 +51,11 @@ class Sample:
 def samples(config_type: type[Config]) -> list[Sample]:
     """Return a sample of every option of a command."""
     options = chain(*config_type.options().values())
-    return [Sample(option, _value(option)) for option in options]
+    return [Sample(option, sample_value(option)) for option in options]
 
 
-def _value(option: Option) -> Any:
+def sample_value(option: Option) -> Any:
+    """Return a value of an option other than its default."""
     if option.key in _CHOSEN:
         return _CHOSEN[option.key]
     if isinstance(option.default, bool):
@@ -70,8 +70,8 @@ def _value(option: Option) -> Any:
     return (value,) if option.repeats or option.takes_many else value
 
 
-def keys_of(parser: argparse.ArgumentParser) -> set[str]:
+def keys_of(parser: Parser) -> set[str]:
     """Return the keys of the options that a parser takes, the console's left out."""
-    keys = {action.dest for action in parser._actions}
+    keys = {action.dest for action in parser.actions}
     console = {option.key for option in CONSOLE}
     return keys - console - {"help", "version", "help_all", "path"}

@@ -34,7 +34,8 @@ from rigs.walk import run_here
 from rigs.worn_arms import motor_types
 from rigs.wrong_arms import resting_torque, typical_torque
 from robot_sysid.commands.motors import play
-from robot_sysid.commands.motors.session import Session
+from robot_sysid.commands.motors.session import PlayChoices, Session
+from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
@@ -42,6 +43,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import record_from
 
 FASTEST_CLASSIC = 250.0
 """Highest rate at which seven motors fit onto a classic CAN bus [Hz]."""
@@ -342,22 +344,23 @@ class OwnSession(Session):
     """A run of ``motors play`` on the rig's own bus, with a model that is loaded once."""
 
     def __init__(self, values, console, bus, robot):
-        super().__init__(values, console)
+        choices = record_from(PlayChoices, values)
+        super().__init__(execution.RunOptions.of(values), console, choices)
         self.clock = bus.clock
         self._bus = bus
         self._loaded = robot
 
     @property
     def robot(self):
-        return self._loaded if self.values.get("model") else None
+        return self._loaded if self.options.files.model else None
 
     @property
     def _problem(self):
-        return _problem_of(self._loaded, self._limits)
+        return _problem_of(self._loaded, self.options.limits)
 
     @contextlib.contextmanager
     def open_guarded(self, *refuses):
-        yield GuardedLink(self._bus, self.clock, self.timing.fd, *refuses)
+        yield GuardedLink(self._bus, self.clock, self.options.timing.fd, *refuses)
 
 
 @cache

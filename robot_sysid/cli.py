@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = ""
     values: Mapping[str, Any] = {}
     interrupted = "interrupted"
-    with _record_interrupts(process_ends=argv is None) as interrupts:
+    with record_interrupts(process_ends=argv is None) as interrupts:
         try:
             if arguments == ["--version"]:  # It takes no options.
                 print_line(f"{PROGRAM} {__version__}", sys.stdout)
@@ -65,10 +65,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             values, console = command.parse(arguments)
             return command.run(values, console)
         except SysidError as error:
-            message = f"{error}{_write_columns_draft(error)}"
-            for line in remedies(error, name, arguments, values):
-                message += f"\n  {line}"
-            return _report_error(message, error.exit_code, debug)
+            stated = _with_columns_file(error)
+            lines = [str(stated)]
+            for line in remedies(stated, name, arguments, values):
+                lines.append(f"  {line}")
+            return _report_error("\n".join(lines), error.exit_code, debug)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
             message = f"the memory is not enough; {remedy}"
@@ -79,23 +80,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _report_unexpected(error, debug)
 
 
-def _write_columns_draft(error: SysidError) -> str:
-    """Write the columns file that puts a log right; one that exists has the same text.
+def _with_columns_file(error: SysidError) -> SysidError:
+    """Write the columns file that puts a log right, and return the error that says so.
 
-    Returns:
-        The end of the message, which says what the file is; "" where there is none.
+    A file that exists has the same text. Without the file no option remedies the error. Any other
+    error is returned as it is.
     """
     if not isinstance(error, ColumnsError):
-        return ""
+        return error
     try:
         with open(error.name, "x", encoding="utf-8") as file:
             file.write(error.draft)
     except FileExistsError:
         pass
     except OSError:
-        error.options = ()
-        return ""
-    return f". {error.name} has the columns put right: read it, and go on with it:"
+        return InputError(str(error))
+    text = (
+        f"{error}. {error.name} has the columns put right: read it, and go on with it:"
+    )
+    return error.with_message(text, error.command_lines)
 
 
 def _find_command(arguments: Sequence[str]) -> Command:
@@ -120,7 +123,7 @@ def _find_command(arguments: Sequence[str]) -> Command:
 
 
 @contextlib.contextmanager
-def _record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
+def record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
     """Turn stop signals into KeyboardInterrupt; yield a list to which each signal is added.
 
     A compiled module that is interrupted while it is imported turns KeyboardInterrupt into an
@@ -179,12 +182,12 @@ def _report_error(message: str, code: int, debug: bool) -> int:
 
         traceback.print_exc()
     with contextlib.suppress(InputError):
-        for line in _message_lines(f"{PROGRAM}: error: {message}"):
+        for line in message_lines(f"{PROGRAM}: error: {message}"):
             print_line(line, sys.stderr)
     return code
 
 
-def _message_lines(message: str) -> list[str]:
+def message_lines(message: str) -> list[str]:
     """Return the lines of an error message: its text on one line, each command on its own.
 
     Text behind a command begins a line again. A very long text is shortened in its middle.

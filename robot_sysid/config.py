@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from math import isfinite
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Optional, TypeVar
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -24,6 +24,7 @@ from robot_sysid.records.option_fields import (
     SCALE,
     Option,
     OptionRecord,
+    PathUse,
     TrajectoryOptions,
     joint_factors,
     option,
@@ -44,15 +45,19 @@ class OutputOptions(OptionRecord):
     No file replaces ``config``, the file that the options come from.
     """
 
-    config: Path | None = None
+    config: Optional[Path] = None
     output_dir: Path = option(
-        Path("sysid_output"), "folder for the results", "DIR", parse=parse_folder
+        Path("sysid_output"),
+        "folder for the results",
+        "DIR",
+        parse=parse_folder,
+        path_use=PathUse.FOLDER,
     )
     report: bool = option(
         False, "also write report.html, a page with figures of the result"
     )
     links: bool = option(False, "print every link, not only the last one")
-    torque_from: str | None = option(
+    torque_from: Optional[str] = option(
         None,
         "no torque was measured: find servos, friction and rotor inertia from commanded and "
         "measured positions",
@@ -84,12 +89,6 @@ class MotorOptions(OptionRecord):
             raise InputError(
                 f"{option_name('motor_type')} requires {option_name('export_damiao')}"
             )
-
-
-# Keys of options that name a folder.
-_FOLDERS = ("output_dir", "mesh_dir")
-# Part of the keys of options that name a file to write.
-_WRITTEN = "save_"
 
 
 @dataclass(frozen=True)
@@ -151,29 +150,27 @@ class Config:
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
-        files = [path for key, path in self._files() if _WRITTEN not in key]
+        files = [path for _, path in self._files(PathUse.READS)]
         return (self.model.path, self.output.config, *files)
 
-    def _files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (key, path) of each file that an option names."""
+    def _files(self, use: PathUse) -> Iterator[tuple[Option, Path]]:
+        """Yield (option, path) of each file that an option names for one use."""
         for record in vars(self).values():
-            for key, value in option_fields.given_values(record).items():
+            for name, stated in options_of(record).items():
+                value = getattr(record, name)
                 value = value.file if isinstance(value, Priors) else value
-                leaves = option_fields.leaves(value)
-                paths = [path for path in leaves if isinstance(path, Path)]
-                if key not in _FOLDERS:
-                    yield from ((key, path) for path in paths)
+                leaves = option_fields.leaves(value) if stated.path_use is use else ()
+                yield from ((stated, leaf) for leaf in leaves if isinstance(leaf, Path))
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
         for name in file_access.RESULT_NAMES:
             yield "--output-dir", self.output.output_dir / name
-        for key, path in self._files():
-            if _WRITTEN in key:
-                yield option_name(key), path
+        for stated, path in self._files(PathUse.WRITES):
+            yield stated.name, path
 
 
-def _fixed(record: OptionRecord) -> Any:
+def _fixed_record(record: OptionRecord) -> Any:
     """Return the dataclass field of a record of options that the command does not have."""
     return field(default=record, metadata={"fixed": True})
 
@@ -192,10 +189,10 @@ class MotionConfig(Config):
     """
 
     trajectory: TrajectoryOptions = TrajectoryOptions()
-    excitation: ExcitationOptions = _fixed(ExcitationOptions(kind="sines"))
+    excitation: ExcitationOptions = _fixed_record(ExcitationOptions(kind="sines"))
     # Without a plan's options, of a self-test, the terminal link is what is identified.
-    aim: AimOptions = _fixed(AimOptions(purpose="link"))
-    limits: LimitOptions = _fixed(LimitOptions())
+    aim: AimOptions = _fixed_record(AimOptions(purpose="link"))
+    limits: LimitOptions = _fixed_record(LimitOptions())
     estimation: EstimationOptions = EstimationOptions()
     motors: MotorOptions = MotorOptions()
 
@@ -256,8 +253,10 @@ class SelfTestConfig(MotionConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for key in option_fields.given_values(self.arm):
-            if self.arm.plant_model is None and key != "save_measurements":
+        # Measurements are written of the model itself, too.
+        of_plant = replace(self.arm, save_measurements=None)
+        for key in option_fields.given_values(of_plant):
+            if self.arm.plant_model is None:
                 raise InputError(
                     f"{option_name(key)} belongs to a simulated plant; add "
                     f"{option_name('plant_model')} (the model file itself will do)"
@@ -307,7 +306,7 @@ class LogConfig(Config):
 class CardOptions(OptionRecord):
     """For which simulators the identified arm is written beside the model."""
 
-    cards: str | None = option(
+    cards: Optional[str] = option(
         None,
         "also write the numbers of the model as a Python file for this simulator, or for all",
         choices=(ALL, *SIMULATORS),
@@ -328,9 +327,10 @@ class IdentifyConfig(LogConfig):
         if self.output.torque_from is None:
             return
         useless = [*option_fields.given_values(self.estimation)]
-        for key in ("torque_scale", "torque_constants"):
-            if key in option_fields.given_values(self.log):
-                useless.append(key)
+        if self.log.torque_scale is not None:
+            useless.append("torque_scale")
+        if self.log.torque_constants is not None:
+            useless.append("torque_constants")
         if self.output.report or self.output.links:
             useless.append("report")
         for key in useless:
@@ -367,20 +367,20 @@ class PayloadOptions(OptionRecord):
     loaded: tuple[Path, ...] = option(
         (), "logs of the arm with the payload", "LOG", takes_many=True
     )
-    order: str | None = option(
+    order: Optional[str] = option(
         None,
         "order in which the logs were recorded, A for the next empty one and B for the next "
         "loaded one, such as ABBA; a drift of friction is then estimated",
         "LETTERS",
         default_text="from the logs' clock, where they share one",
     )
-    flange: str | None = option(
+    flange: Optional[str] = option(
         None,
         "frame of the payload: a site or body fixed to the terminal body, or x,y,z in metres",
         "FRAME",
         default_text="found by its name, else the terminal body's",
     )
-    as_body: str | None = option(
+    as_body: Optional[str] = option(
         None,
         "write the payload as a welded body of this name instead of merging it into the terminal "
         "link",
@@ -392,13 +392,16 @@ class PayloadOptions(OptionRecord):
         "in its model, those of all, or the one that is named",
         choices=CHOICES,
     )
-    known_mass: float | None = option(
+    known_mass: Optional[float] = option(
         None,
         "the payload is a weight of this mass: estimate each joint's torque scale with it",
         "KG [kg] > 0",
     )
-    save_torque_scale: Path | None = option(
-        None, "with {known_mass}, write the scales as a file for {torque_scale}", "FILE"
+    save_torque_scale: Optional[Path] = option(
+        None,
+        "with {known_mass}, write the scales as a file for {torque_scale}",
+        "FILE",
+        path_use=PathUse.WRITES,
     )
 
     def __post_init__(self) -> None:
@@ -438,13 +441,11 @@ class PayloadConfig(LogConfig):
         if payload.empty and payload.loaded:
             return
         missing = option_name("loaded" if payload.empty else "empty", "LOG...")
-        error = InputError(
+        logs = payload.empty or payload.loaded
+        identify = ["identify", *map(str, (self.model.path, *logs))]
+        raise InputError(
             f"{missing} is missing: a payload is weighed by the difference between logs without "
             "and with it. Logs of one kind show the last link with all that is on it; identify "
-            "says what that is beyond the model, as far as the model's other links are right"
+            "says what that is beyond the model, as far as the model's other links are right",
+            command_lines=[identify] if logs else [],
         )
-        logs = payload.empty or payload.loaded
-        if logs:
-            words = (self.model.path, *logs)
-            error.command_lines = [["identify", *map(str, words)]]
-        raise error

@@ -62,18 +62,28 @@ class InputError(SysidError):
         options: options that remedy it, each with its value as words of a command line: added to
             the command that failed, one of them lets it go on. Empty where options do not help.
         command: name of the only command that has these options; "" where every one has them.
-        command_lines: complete commands that remedy it, each as words.
+        command_lines: complete commands that remedy it, each as words, in place of ``options``.
     """
 
     exit_code = 2
 
     def __init__(
-        self, message: str, options: Sequence[tuple[str, ...]] = (), command: str = ""
+        self,
+        message: str,
+        options: Sequence[tuple[str, ...]] = (),
+        command: str = "",
+        command_lines: Sequence[Sequence[str]] = (),
     ) -> None:
         super().__init__(message)
         self.options = tuple(options)
         self.command = command
-        self.command_lines: Sequence[Sequence[str]] = ()
+        self.command_lines = tuple(command_lines)
+
+    def with_message(
+        self, message: str, command_lines: Sequence[Sequence[str]] = ()
+    ) -> InputError:
+        """Return an error with the same remedies and another message, such as a longer one."""
+        return InputError(message, self.options, self.command, command_lines)
 
 
 @contextlib.contextmanager
@@ -95,12 +105,28 @@ class ColumnsError(InputError):
     Attributes:
         draft: text of a columns file with the columns put right.
         name: file name to write the draft to.
+        options, command, command_lines: see ``InputError``.
     """
 
-    def __init__(self, message: str, draft: str, name: str) -> None:
-        super().__init__(message)
+    def __init__(
+        self,
+        message: str,
+        draft: str,
+        name: str,
+        options: Sequence[tuple[str, ...]] = (),
+        command: str = "",
+        command_lines: Sequence[Sequence[str]] = (),
+    ) -> None:
+        super().__init__(message, options, command, command_lines)
         self.draft = draft
         self.name = name
+
+    def with_message(
+        self, message: str, command_lines: Sequence[Sequence[str]] = ()
+    ) -> InputError:
+        """Return an error with the same draft and remedies and another message."""
+        remedies = self.options, self.command, command_lines
+        return ColumnsError(message, self.draft, self.name, *remedies)
 
 
 class ModelError(InputError):
@@ -140,7 +166,10 @@ class HardwareAbort(SysidError):
     """
 
     exit_code = 3
-    report: Any = None
+
+    def __init__(self, message: str, report: Any = None) -> None:
+        super().__init__(message)
+        self.report = report
 
 
 def _signals(*names: str) -> tuple[signal.Signals, ...]:

@@ -1,7 +1,13 @@
 """How a text names an option: ``--max-velocity`` at the command line, ``max_velocity`` in Python.
 
 A text is written once. Where it names an option it asks a function of this module, which knows who
-is going to read it.
+is going to read it: the command line by default, a Python program inside ``in_python``, which the
+face for Python enters once for each call. A constant that names an option holds a field in its
+place, and becomes a text by ``with_option_names``.
+
+Names are put in when a text is made, not when it is shown. A text leaves the package by too many
+doors for that: as the message of an error, which may be a part of another error's, in fields of
+records that Python programs read as they are, in files of four kinds and on the console.
 """
 
 from __future__ import annotations

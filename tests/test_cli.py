@@ -15,7 +15,8 @@ import pytest
 from rigs.arms import TWO_ARMS, Y, serial_arm
 from rigs.command_line import OUT, files_in
 from rigs.places import GUESS
-from robot_sysid.cli import _message_lines, main
+from robot_sysid.cli import main, message_lines
+from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import ColumnsError, SysidError
 from robot_sysid.solver import identify_parameters
 
@@ -255,22 +256,14 @@ def test_a_signal_that_nohup_makes_the_process_ignore_stays_ignored(arm, monkeyp
 def test_a_command_in_an_error_stands_alone_on_its_line():
     """What is around it is one line, whatever ends of lines it has."""
     message = f"arm.xml:\n bad {3000 * 'x'};\nrun\n  robot-sysid log a b\nor\n  this"
-    first, command, last = _message_lines(message)
+    first, command, last = message_lines(message)
     assert first.startswith("arm.xml: bad xxx") and first.endswith("x; run")
     assert "[...]" in first and len(first) < 2000
     assert (command, last) == ("  robot-sysid log a b", "or this")
 
 
-def test_corrected_columns_take_the_place_of_those_in_use(
-    monkeypatch, tmp_path, capsys
-):
-    def refuse(command, arguments):
-        error = ColumnsError("wrong", "a = b", "new.txt")
-        error.options = (("--columns", "new.txt"),)
-        raise error
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("robot_sysid.commands.arguments.Command.parse", refuse)
-    main(["identify", "arm.xml", "log.csv", "--columns", "old.txt", "--links"])
-    command = "  robot-sysid identify arm.xml log.csv --links --columns new.txt\n"
-    assert capsys.readouterr().err.endswith(command)
+def test_corrected_columns_take_the_place_of_those_in_use():
+    error = ColumnsError("wrong", "a = b", "new.txt", [("--columns", "new.txt")])
+    words = ["arm.xml", "log.csv", "--columns", "old.txt", "--links"]
+    command = "robot-sysid identify arm.xml log.csv --links --columns new.txt"
+    assert [*remedies(error, "identify", words, {})] == [command]

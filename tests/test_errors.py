@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from robot_sysid.cli import _record_interrupts
+from robot_sysid.cli import record_interrupts
 from robot_sysid.errors import STOP_SIGNALS, delay_signals, ignore_repeated_ctrl_c
 
 pytestmark = pytest.mark.skipif(
@@ -95,7 +95,7 @@ def test_a_handler_that_stops_nothing_hears_every_request():
 
 
 def test_under_the_command_line_asking_twice_loses_nothing_either():
-    with _record_interrupts() as numbers, ignore_repeated_ctrl_c():
+    with record_interrupts() as numbers, ignore_repeated_ctrl_c():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)

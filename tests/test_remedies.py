@@ -22,7 +22,7 @@ FREE = {"--help", "--version"}
 def options_of(command: str) -> frozenset[str]:
     """Return the options of a command, such as "motors play"."""
     parser = Parser(COMMANDS[command])
-    return frozenset(o for action in parser._actions for o in action.option_strings)
+    return frozenset(o for action in parser.actions for o in action.option_strings)
 
 
 @pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: page.name)

@@ -31,6 +31,13 @@ from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
 from robot_sysid.wording import in_python
 
+FIGURE_WIDTH = 8.0
+"""Width of a figure [inch], about that of a page's text."""
+AXIS_HEIGHT = 1.6
+"""Height of one joint's axes [inch]: seven joints fill a page."""
+FIGURE_MARGIN = 0.6
+"""Height for the label of the time below the axes [inch]."""
+
 
 def one_thread() -> AbstractContextManager[Any]:
     """Return a context manager that runs linear algebra in one thread."""
@@ -85,8 +92,9 @@ class Result(Identification):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of params.json (see docs/formats.md), without cards."""
-        content = content_of(self)
-        return {**content, "verdict": [verdict_line(content)]}
+        with in_python():
+            content = content_of(self)
+            return {**content, "verdict": [verdict_line(content)]}
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write params.json, the data of a later report and, where trusted, the updated model.
@@ -134,7 +142,8 @@ class Result(Identification):
             hint = install_hint("matplotlib", "report")
             raise InputError(f"plot() {hint}") from None
         count = len(traces.joints)
-        figure = Figure(figsize=(8.0, 1.6 * count + 0.6), layout="constrained")
+        height = AXIS_HEIGHT * count + FIGURE_MARGIN
+        figure = Figure(figsize=(FIGURE_WIDTH, height), layout="constrained")
         axes = figure.subplots(count, sharex=True, squeeze=False)[:, 0]
         # Blue and orange of Okabe and Ito, safe for colour-blind readers.
         dots = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}

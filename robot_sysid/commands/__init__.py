@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.messages import Detail, Progress
@@ -167,7 +167,7 @@ class ConsoleOptions(OptionRecord):
     json: bool = option(
         False, "print the result as JSON on standard output, all else on standard error"
     )
-    config: Path | None = option(
+    config: Optional[Path] = option(
         None,
         "take options from this TOML file too, such as the run.toml of a run",
         "FILE",

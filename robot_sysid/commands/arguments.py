@@ -23,14 +23,21 @@ MODEL = (
     ),
 )
 """The model file that most commands take first."""
-LOG = options.Option(
-    "log",
-    "file or folder of the recording; or its positions in one and its torques in another",
-    metavar="LOG",
-    parse=Path,
-    takes_many=True,
-)
-"""The log that commands take which fit none."""
+
+
+@dataclass(frozen=True)
+class LogArgument(options.FileArguments):
+    """The log that commands take which fit none."""
+
+    log: tuple[Path, ...] = options.option(
+        (),
+        "file or folder of the recording; or its positions in one and its torques in another",
+        "LOG",
+        flag="log",
+        takes_many=True,
+    )
+
+
 CONSOLE = options.options_of_all(ConsoleOptions)
 """Options that all commands have."""
 
@@ -136,6 +143,11 @@ class Parser(argparse.ArgumentParser):
             flags = filter(None, (option.short, option.flag))
             help_group.add_argument(*flags, dest=option.key, **settings)
         return help_group
+
+    @property
+    def actions(self) -> list[argparse.Action]:
+        """All arguments and options, also those that the short help leaves out."""
+        return self._actions
 
     def format_help(self) -> str:
         """Return the example, then the overview if there is one, the usage and all options."""

@@ -3,25 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands import Console
-from robot_sysid.commands.arguments import LOG, MODEL, Command
+from robot_sysid.commands.arguments import MODEL, Command, LogArgument
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.records.messages import aligned_lines, number_text
-from robot_sysid.records.option_fields import Option, options_of_all
+from robot_sysid.records.option_fields import (
+    FileArguments,
+    keys_of,
+    option,
+    options_of_all,
+    record_from,
+)
+
+
+@dataclass(frozen=True)
+class EarlierLog(FileArguments):
+    """What the log is compared with."""
+
+    since: tuple[Path, ...] = option(
+        (),
+        "earlier log, or the folder of a run of identify on it; without it the log is compared "
+        "with the model",
+        "EARLIER",
+        takes_many=True,
+    )
 
 
 def run(values: Mapping[str, Any], console: Console) -> int:
     """Print what has changed and return the exit code: 1 where anything has."""
     from robot_sysid.pipeline.comparison import check_log
 
-    options = dict(values)
-    since = options.pop("since", ())
-    config = IdentifyConfig.of(measurements=options.pop("log"), **options)
+    log = record_from(LogArgument, values).log
+    since = record_from(EarlierLog, values).since
+    own_keys = keys_of(LogArgument, EarlierLog)
+    options = {key: value for key, value in values.items() if key not in own_keys}
+    config = IdentifyConfig.of(measurements=log, **options)
     result = check_log(config, since, console)
     rows = [
         [
@@ -54,17 +76,8 @@ COMMANDS = (
         "what its model says. The exit code is 1 where something has changed, or differs from the "
         "model by more than models usually do.",
         {
-            "": (*MODEL, LOG),
-            "earlier log": (
-                Option(
-                    "--since",
-                    "earlier log, or the folder of a run of identify on it; without it the log is "
-                    "compared with the model",
-                    metavar="EARLIER",
-                    parse=Path,
-                    takes_many=True,
-                ),
-            ),
+            "": (*MODEL, *options_of_all(LogArgument)),
+            "earlier log": options_of_all(EarlierLog),
             "model": options_of_all(ModelOptions, only=OF_LOG),
             "log": options_of_all(LogOptions),
         },

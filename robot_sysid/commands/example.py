@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -15,7 +16,12 @@ from robot_sysid.commands.arguments import Command
 from robot_sysid.config import OutputOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import temporary_folder
-from robot_sysid.records.option_fields import Option, options_of_all, record_from
+from robot_sysid.records.option_fields import (
+    OptionRecord,
+    option,
+    options_of_all,
+    record_from,
+)
 
 EXAMPLES = ("kinova",)
 GUESS = "kinova_fullinertia_guess.xml"
@@ -41,16 +47,24 @@ WALKTHROUGH = {
 """Heading to command, with the copied files in braces."""
 
 
+@dataclass(frozen=True)
+class ExampleName(OptionRecord):
+    """Which example is copied."""
+
+    name: str = option("", ", ".join(EXAMPLES), "NAME", flag="name", choices=EXAMPLES)
+
+
 def run(values: Mapping[str, Any], console: Console) -> int:
     """Run the command and return its exit code."""
-    folder = Path(values["name"])
+    name = record_from(ExampleName, values).name
+    folder = Path(name)
     if "output_dir" in values:
         folder = record_from(OutputOptions, values).output_dir
     if folder.exists():
         raise InputError(
             f"{folder} exists; choose another folder with --output-dir DIR"
         )
-    _copy_example(_source_folder(values["name"]), folder)
+    _copy_example(_source_folder(name), folder)
     console.stage(f"Example copied to {folder}. What to do with it:")
     names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
     paths = {key: quote(str(folder / name)) for key, name in names.items()}
@@ -69,9 +83,7 @@ COMMANDS = (
         "Copy an example out of the package, with two logs of its true arm, and print "
         "the commands that walk through it.",
         {
-            "": (
-                Option("name", ", ".join(EXAMPLES), metavar="NAME", choices=EXAMPLES),
-            ),
+            "": options_of_all(ExampleName),
             "output": options_of_all(
                 OutputOptions, only=("output_dir",), output_dir="the example's name"
             ),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands import Console
-from robot_sysid.commands.arguments import LOG, Command
+from robot_sysid.commands.arguments import Command, LogArgument
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import OF_LOG, ModelOptions
@@ -16,7 +16,6 @@ from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.option_fields import (
     Option,
     given_values,
-    leaves,
     options_of_all,
     record_from,
 )
@@ -34,7 +33,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     from robot_sysid.logs.reader import open_logs
     from robot_sysid.parser import load_robot_model
 
-    paths = [*map(Path, leaves(values["log"]))]
+    paths = record_from(LogArgument, values).log
     log_options = record_from(LogOptions, values)
     model_options = record_from(ModelOptions, values)
     robot = load_robot_model(values["path"], **given_values(model_options))
@@ -66,7 +65,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
 
 
 _ARGUMENTS = (
-    LOG,
+    *options_of_all(LogArgument),
     Option("path", "MJCF, URDF or xacro file", metavar="MODEL", parse=Path),
 )
 COMMANDS = (

@@ -28,33 +28,59 @@ def remedies(
     """
     if not isinstance(error, InputError):
         return
-    for words in error.command_lines:
-        yield shlex.join([PROGRAM, *words])
     if error.command_lines:
+        for words in error.command_lines:
+            yield shlex.join([PROGRAM, *words])
         return
-    # A file may name one log as a text, not as a list.
-    keys = ("log", "measurements", "empty")
-    logs = next(filter(None, map(values.get, keys)), ())
-    paths = [*map(Path, leaves(logs))]
-    typed = [PROGRAM, *name.split(), *arguments]
-    for option in error.options:
-        if option[0] == "--units" and values.get("units"):
-            option = ("--units", f"{values['units']},{option[1]}")
+    logs = _paths_of_logs(values)
+    for stated in error.options:
+        option = _with_units_of(values, stated)
         # A payload of known mass has all that the weighing needs, but for the first scales.
-        if error.command == "payload" and paths and "known_mass" not in values:
-            # The recording with the weight has the form of the log, and lies beside it.
-            weight = paths[0].with_name(f"weight{paths[0].suffix}")
-            state = "torque scales unknown"
-            step = step_after(state, values, *option, log=paths, weight=weight)
-            yield shlex.join(step.command)
+        if error.command == "payload" and logs and "known_mass" not in values:
+            yield shlex.join(_weighing(logs, values, option))
         # Only that command has these options, or who has stated columns goes on to it.
         elif name == "log" and (error.command or isinstance(error, ColumnsError)):
-            step = step_after(SAME_LOG, values, *option, log=paths)
+            step = step_after(SAME_LOG, values, *option, log=logs)
             yield shlex.join(step.command)
         elif error.command in ("", name):
-            words = [*typed]
-            # Corrected columns have all that those in use have, and so have units.
-            for flag in {"--columns", "--units"} & {*typed} & {*option}:
-                at = words.index(flag)
-                del words[at : at + 2]
-            yield shlex.join([*words, *option])
+            typed = _without_replaced(arguments, option)
+            yield shlex.join([PROGRAM, *name.split(), *typed, *option])
+
+
+def _paths_of_logs(values: Mapping[str, Any]) -> list[Path]:
+    """Return the logs that a command was given first; a file may name one as a text, in no list."""
+    for key in ("log", "measurements", "empty"):
+        if values.get(key):
+            return [*map(Path, leaves(values[key]))]
+    return []
+
+
+def _with_units_of(
+    values: Mapping[str, Any], option: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return an option; one that states units states those that were given before, too."""
+    if option[0] == "--units" and values.get("units"):
+        return "--units", f"{values['units']},{option[1]}"
+    return option
+
+
+def _weighing(
+    logs: Sequence[Path], values: Mapping[str, Any], option: tuple[str, ...]
+) -> Sequence[str]:
+    """Return the command that finds the scales of torques with a weight of known mass."""
+    # The recording with the weight has the form of the log, and lies beside it.
+    weight = logs[0].with_name(f"weight{logs[0].suffix}")
+    state = "torque scales unknown"
+    return step_after(state, values, *option, log=logs, weight=weight).command
+
+
+def _without_replaced(arguments: Sequence[str], option: tuple[str, ...]) -> list[str]:
+    """Return arguments without the columns and units for which an option states others.
+
+    Corrected columns have all that those in use have, and so have units.
+    """
+    words = [*arguments]
+    for flag in {"--columns", "--units"} & {*words} & {*option}:
+        at = words.index(flag)
+        del words[at : at + 2]
+    return words

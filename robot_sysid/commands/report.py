@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,22 @@ from robot_sysid.commands.arguments import Command
 from robot_sysid.config import Config, OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import Option, options_of_all, record_from
+from robot_sysid.records.option_fields import (
+    FileArguments,
+    option,
+    options_of_all,
+    record_from,
+)
 from robot_sysid.report.drawing import require_matplotlib
+
+
+@dataclass(frozen=True)
+class RunFolders(FileArguments):
+    """The runs that a page is about."""
+
+    folders: tuple[Path, ...] = option(
+        (), "folder that a run wrote to", "DIR", flag="folders", takes_many=True
+    )
 
 
 def run(values: Mapping[str, Any], console: Console) -> int:
@@ -25,7 +40,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
 
-    runs = [load_run(folder) for folder in values["folders"]]
+    runs = [load_run(path) for path in record_from(RunFolders, values).folders]
     if "output_dir" not in values:
         folder = runs[0].folder
     differences = []
@@ -54,15 +69,7 @@ COMMANDS = (
         "Write report.html about an earlier run: a page with figures that opens "
         "without a network. Several folders are compared in comparison.html.",
         {
-            "": (
-                Option(
-                    "folders",
-                    "folder that a run wrote to",
-                    metavar="DIR",
-                    parse=Path,
-                    takes_many=True,
-                ),
-            ),
+            "": options_of_all(RunFolders),
             "page": options_of_all(
                 OutputOptions, only=("output_dir",), output_dir="the first run's own"
             ),

@@ -115,7 +115,8 @@ def play(
             from robot_sysid.api.calls import path_of
 
             values["model"] = path_of(model)
-        run = execution.MotorRun(values)
+        run_options = execution.RunOptions.of(values)
+        run = execution.MotorRun(run_options)
         stated_plan = run.plan()
         with recorded_plan(stated_plan) as plan:
             opened = run.open_simulated(plan) if simulate else run.open_guarded()
@@ -128,7 +129,7 @@ def play(
                 report = execution.run(
                     link, plan, inspection, StopRequest(), say, holding
                 )
-            said = judge_run(plan, values)
+            said = judge_run(plan, run_options.files.model, run_options.model)
         return replace(report, findings=said.lines, is_as_expected=not said.differs)
 
 

@@ -16,7 +16,7 @@ import re
 import struct
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Optional
 
 from robot_sysid.damiao.bus import LinkError, SystemClock
 from robot_sysid.damiao.protocol import BusTiming, CanFrame
@@ -52,7 +52,7 @@ class BusAddress(OptionRecord):
         "NAME",
         choices=INTERFACES,
     )
-    channel: str | None = option(
+    channel: Optional[str] = option(
         None, "the bus, for instance can0 or /dev/ttyACM0", "CHANNEL"
     )
     bus_option: tuple[str, ...] = option(

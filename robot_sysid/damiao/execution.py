@@ -1,13 +1,17 @@
-"""A whole run on motors: its plan and checks, from the values of options, and playing it."""
+"""A whole run on motors: its options, its plan and checks, and playing it.
+
+The options are records, made once where a command line or a Python call comes in. From there on a
+run asks records, not names.
+"""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 
@@ -47,6 +51,7 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import (
+    FileArguments,
     Option,
     OptionRecord,
     given_values,
@@ -60,14 +65,14 @@ from robot_sysid.wording import option_name, option_setting
 
 
 @dataclass(frozen=True)
-class ArmFiles(OptionRecord):
+class ArmFiles(FileArguments):
     """The trajectory to play, and the files that say what its arm is."""
 
-    trajectory: Path | None = option(
+    trajectory: Optional[Path] = option(
         None, "damiao_trajectory.csv", "TRAJECTORY", flag="trajectory"
     )
-    model: Path | None = option(None, "MJCF or URDF of the arm", "MODEL")
-    joint_map: Path | None = option(
+    model: Optional[Path] = option(None, "MJCF or URDF of the arm", "MODEL")
+    joint_map: Optional[Path] = option(
         None, "how each joint's motor is mounted (see: motors map)", "FILE"
     )
 
@@ -91,6 +96,60 @@ SIMULATED_OPTIONS: list[Option] = [
     *options_of_all(SimulatedArmOptions, only=("plant_model",))
 ]
 """Options of the simulated arm of a run."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What a run on motors was asked for; what was not asked for has its default.
+
+    Attributes:
+        files: the trajectory, the model and the joint map.
+        model: the arm in the model.
+        address: how the bus is reached.
+        timing: frame format and bit rates of the bus.
+        settings: gains, speeds and permissions.
+        limits: the user's limits of all motions; one that is not given forbids nothing.
+        recording: files to write.
+        standing: how an arm without a trajectory is held, and which one it is.
+        plant: the arm that is simulated.
+        given: option's key to its value, of those that were given: a command that is printed
+            repeats them.
+    """
+
+    files: ArmFiles = ArmFiles()
+    model: ModelOptions = ModelOptions()
+    address: BusAddress = BusAddress()
+    timing: BusTiming = BusTiming()
+    settings: PlaySettings = PlaySettings()
+    limits: LimitOptions = NO_LIMITS
+    recording: RecordingOptions = RecordingOptions()
+    standing: HoldOptions = HoldOptions()
+    plant: SimulatedArmOptions = SimulatedArmOptions()
+    given: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> RunOptions:
+        """Return the options with values by key; InputError where one cannot be used."""
+        records: dict[str, Any] = {
+            name: record_from(type(default), values, default)
+            for name, default in vars(cls()).items()
+            if isinstance(default, OptionRecord)
+        }
+        given = {key: value for key, value in values.items() if value is not None}
+        return cls(**records, given=given)
+
+    def require_model(self) -> None:
+        """Raise InputError where an option about a model was given, but no model."""
+        if self.files.model is not None:
+            return
+        limits = options_of_all(LimitOptions, only=MODEL_LIMITS)
+        for stated in (*options_of_all(ModelOptions), *limits):
+            if stated.key in self.given:
+                raise InputError(
+                    f"{stated.name} is about a model; add {option_name('model')}"
+                )
+
+
 # Seed of the simulated arm, so that the same command writes the same recording.
 _USUAL_ARM = 0
 # How far a joint that is to be held may be from where it was inspected [rad]: the arm stays there.
@@ -111,20 +170,16 @@ class MotorRun:
     The robot and its geometry are made once and cached.
 
     Args:
-        values: value of each option that was given, by its key, from the command line or the API.
+        options: of the command line, or of a Python call.
 
     Attributes:
-        values: as given.
+        options: as given.
         clock: clock of the bus.
-        address: how the bus is reached.
-        timing: frame format and bit rates of the bus.
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self.values = values
+    def __init__(self, options: RunOptions) -> None:
+        self.options = options
         self.clock = SystemClock()
-        self.address = record_from(BusAddress, values)
-        self.timing = record_from(BusTiming, values)
 
     def plan(self) -> Plan:
         """Return the plan of the trajectory file with the options' settings.
@@ -136,22 +191,16 @@ class MotorRun:
         or a recording would replace an input, or another file without --overwrite.
         """
         robot = self.robot
-        self.require_model_for(*vars(ModelOptions()), *MODEL_LIMITS)
-        trajectory = read_damiao_trajectory(self.values["trajectory"])
+        self.options.require_model()
+        path = self.options.files.trajectory
+        assert path is not None
+        trajectory = read_damiao_trajectory(path)
         if robot is not None and trajectory.n_joints != robot.n_joints:
             raise InputError(
                 f"{trajectory.path} has {trajectory.n_joints} joints but the chain of "
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
         return self._plan_of(trajectory)
-
-    def require_model_for(self, *keys: str) -> None:
-        """Raise InputError where one of some options was given, by its key, but no model."""
-        for key in keys:
-            if self.robot is None and self.values.get(key) is not None:
-                raise InputError(
-                    f"{option_name(key)} is about a model; add {option_name('model')}"
-                )
 
     def standing_plan(self, inspection: Inspection = _NOTHING) -> Plan:
         """Return the plan that holds the model's arm where an inspection finds it.
@@ -164,7 +213,7 @@ class MotorRun:
         """
         robot = self.robot
         n = robot.n_joints
-        options = record_from(HoldOptions, self.values)
+        options = self.options.standing
         # A joint has the number of its motor where no joint map says another.
         joints = self._with_joint_map(
             [DamiaoJoint("", i, i + MASTER_ID_OFFSET) for i in range(1, n + 1)]
@@ -193,23 +242,19 @@ class MotorRun:
 
             mobility = ArmStepper(robot, trajectory.q[0]).mobility()
             trajectory = with_weight_of(robot, trajectory)
-        recording = record_from(RecordingOptions, self.values)
-        inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
-        recording.require_free(*inputs, weight_path(trajectory.path))
+        options = self.options
+        files = options.files
+        inputs = files.trajectory, files.model, files.joint_map
+        options.recording.require_free(*inputs, weight_path(trajectory.path))
         return Plan(
             replace(trajectory, joints=self._with_joint_map(trajectory.joints)),
-            settings=replace(record_from(PlaySettings, self.values), **settings),
-            timing=self.timing,
-            recording=recording,
+            settings=replace(options.settings, **settings),
+            timing=options.timing,
+            recording=options.recording,
             mobility=mobility,
-            user_limits=self._limits.limits([False] * trajectory.n_joints),
+            user_limits=options.limits.limits([False] * trajectory.n_joints),
             model_limits=robot and robot.limits,
         )
-
-    @cached_property
-    def _limits(self) -> LimitOptions:
-        """The user's limits of all motions; a limit that is not given forbids nothing."""
-        return record_from(LimitOptions, {**vars(NO_LIMITS), **self.values})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         """Return joints (base to terminal) with the ids and mounting of the joint map.
@@ -217,9 +262,9 @@ class MotorRun:
         Without a joint map only the model's joint names are added, if there is a model.
         """
         names = self.robot.joint_names if self.robot else ()
-        path = self.values.get("joint_map")
+        path = self.options.files.joint_map
         if path is not None:
-            return map_joints(joints, read_joint_map(Path(path)), names)
+            return map_joints(joints, read_joint_map(path), names)
         names = names or [""] * len(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
 
@@ -239,7 +284,7 @@ class MotorRun:
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.motion.problem import build_problem
 
-        return build_problem(self.robot, self._limits)
+        return build_problem(self.robot, self.options.limits)
 
     def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
@@ -267,12 +312,12 @@ class MotorRun:
     @cached_property
     def robot(self) -> Any:
         """The arm of the model file (RobotModel); None without a model."""
-        path = self.values.get("model")
+        path = self.options.files.model
         if path is None:
             return None
         from robot_sysid.parser import load_robot_model
 
-        options = given_values(record_from(ModelOptions, self.values))
+        options = given_values(self.options.model)
         return load_robot_model(path, max_velocity=np.inf, **options)
 
     @contextlib.contextmanager
@@ -290,23 +335,23 @@ class MotorRun:
         from robot_sysid.simulation.plant import ArmStepper, load_plant
         from robot_sysid.simulation.usual_arm import usual_arm
 
-        plant = record_from(SimulatedArmOptions, self.values).plant_model
+        plant = self.options.plant.plant_model
         if plant is None:
             joints = plan.trajectory.joints
             rated = np.array([joint.spec.rated_torque for joint in joints])
             rng = np.random.default_rng(_USUAL_ARM)
             robot = usual_arm(self.robot, rated, rng)
         else:
-            mesh_dir = record_from(ModelOptions, self.values).mesh_dir
-            robot = load_plant(self.robot, plant, mesh_dir)
+            robot = load_plant(self.robot, plant, self.options.model.mesh_dir)
 
         watchdog = max(_SIMULATED_WATCHDOG, _WATCHDOG_CYCLES * plan.settings.period)
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
         stepper = ArmStepper(robot, plan.trajectory.q[0])
         clock = SimulatedClock()
         arm = SimulatedArm(stepper, motors)
-        wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        yield GuardedLink(wire, clock, self.timing.fd)
+        timing = self.options.timing
+        wire = SimulatedLink(clock, arm, timing, echo=True)
+        yield GuardedLink(wire, clock, timing.fd)
 
     @contextlib.contextmanager
     def open_guarded(
@@ -317,14 +362,16 @@ class MotorRun:
         Args:
             refuses: tells of each frame to be sent whether it must not be.
         """
-        if not self.address.channel:
+        address = self.options.address
+        timing = self.options.timing
+        if not address.channel:
             raise InputError(
                 f"this command needs {option_name('channel')}, for instance "
                 f"{option_setting('channel', 'can0')}"
             )
-        link = open_bus(self.address, self.timing, self.clock)
+        link = open_bus(address, timing, self.clock)
         with contextlib.closing(link):
-            yield GuardedLink(link, self.clock, self.timing.fd, refuses)
+            yield GuardedLink(link, self.clock, timing.fd, refuses)
 
 
 def _stored_type(joint: DamiaoJoint, inspection: Inspection) -> str:
@@ -401,8 +448,8 @@ def run(
             )
             report = player.play(activity)
     except HardwareAbort as stopped:
-        stopped.report = player and player.report
-        raise
+        report_until_then = player and player.report
+        raise type(stopped)(str(stopped), report_until_then) from stopped
     finally:
         console.finish()
     for failure in filter(None, (writer.failure, console.failure)):

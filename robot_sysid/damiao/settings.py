@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 
@@ -110,7 +110,7 @@ class PlaySettings(OptionRecord):
         check=_range_check(KD_STEP, KD_MAX, "N·m·s/rad"),
         **_BY_TYPE,
     )
-    rate: float | None = option(
+    rate: Optional[float] = option(
         None,
         "control cycles per second",
         "HZ [Hz] > 0",
@@ -119,13 +119,13 @@ class PlaySettings(OptionRecord):
     speed: float = option(
         1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor
     )
-    max_tracking_error: float | None = option(
+    max_tracking_error: Optional[float] = option(
         None,
         "how far a joint may leave its path, or float",
         "ANGLE [rad] > 0",
         default_text="0.2; more where a soft arm sags by what models are usually off",
     )
-    park: str | None = option(
+    park: Optional[str] = option(
         None,
         "with rest, lower it until no joint carries a load",
         "WHERE",
@@ -293,7 +293,7 @@ class MoveOptions(OptionRecord):
 class RecordingOptions(OptionRecord):
     """The files into which a run is recorded."""
 
-    record: Path | None = option(None, "write the measurement CSV", "FILE")
+    record: Optional[Path] = option(None, "write the measurement CSV", "FILE")
     overwrite: bool = option(False, "replace an existing recording")
 
     def require_free(self, *inputs: Path | None) -> None:

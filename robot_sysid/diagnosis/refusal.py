@@ -35,12 +35,8 @@ def refuse_for(logs: Sequence[Recording], finding: Finding) -> InputError:
             reason = f"{names}: {finding.text}"
             draft = _add_lines(log.options.get("columns"), lines, reason)
             name = _free_name(Path(log.name), draft)
-            error = ColumnsError(text, draft, name)
-            error.options = tuple(
-                (*each, "--columns", name) for each in options or [()]
-            )
-            error.command = finding.command
-            return error
+            options = tuple((*each, "--columns", name) for each in options or [()])
+            return ColumnsError(text, draft, name, options, finding.command)
     return InputError(text, options, finding.command)
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Optional
 
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.errors import InputError
@@ -53,7 +54,7 @@ class Priors(OptionRecord):
         "their size, half of what their inertia is off by",
         "P [%] >= 0",
     )
-    scale: PerJoint | None = option(
+    scale: Optional[PerJoint] = option(
         None,
         "how far each joint's torque scale may be off, one number or one per joint",
         "P [%] >= 0",
@@ -80,13 +81,13 @@ class Priors(OptionRecord):
         "term for it; it may also bend with speed, by twenty times that part of its dry friction",
         "P [%] >= 0",
     )
-    noise: PerJoint | None = option(
+    noise: Optional[PerJoint] = option(
         None,
         "of a plan: noise of the torques to expect, one number or one per joint",
         "P [N·m] > 0",
         default_text="0.3",
     )
-    file: Path | None = None
+    file: Optional[Path] = None
 
     def __str__(self) -> str:
         """Return the file that the priors were read from, as it is typed."""
@@ -140,7 +141,7 @@ class EstimationOptions(OptionRecord):
     no_friction: bool = option(
         False, "leave friction out and identify the 10 inertial parameters only"
     )
-    friction_model: str | None = option(
+    friction_model: Optional[str] = option(
         None,
         f"friction terms of every joint, such as {DEFAULT_TERMINAL}",
         "TERMS",
@@ -161,7 +162,7 @@ class EstimationOptions(OptionRecord):
         choices=(FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS),
         repeats=True,
     )
-    cutoff: float | None = None
+    cutoff: Optional[float] = None
 
     def __post_init__(self) -> None:
         """Check each value, that the friction model exists, and that options do not conflict.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Optional
 
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.option_fields import (
@@ -26,32 +27,32 @@ class LogOptions(OptionRecord):
     torques, as the identification of servos needs them.
     """
 
-    columns: Columns | None = option(
+    columns: Optional[Columns] = option(
         None,
         "which column is what: a line such as 'position = A*', or a file of such lines",
         "COLUMNS",
         default_text="recognised",
     )
-    units: str | None = option(
+    units: Optional[str] = option(
         None,
         "units of the log, such as deg,ms, mm or 4096/rev",
         "UNITS",
         default_text="SI",
     )
-    torque_scale: Factors | None = option(
+    torque_scale: Optional[Factors] = option(
         None,
         "divide torques by this: a number, one per joint, or a file",
         "SCALE",
         check=check_factor,
     )
-    torque_constants: Factors | None = option(
+    torque_constants: Optional[Factors] = option(
         None,
         "the log holds motor currents: torque at the joint per ampere, gear included; a number, "
         "one per joint, or a file",
         "K [N·m/A]",
         check=check_factor,
     )
-    topic: str | None = option(
+    topic: Optional[str] = option(
         None, "topic of a ROS bag, where several fit", "TOPIC", default_text="found"
     )
     episode: tuple[int, ...] = option(

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Optional
 
-from robot_sysid.records.option_fields import OptionRecord, option
+from robot_sysid.records.option_fields import OptionRecord, PathUse, option
 
 
 @dataclass(frozen=True)
@@ -16,25 +17,28 @@ class ModelOptions(OptionRecord):
     """Options that choose a model file (``path``, MJCF or URDF), the arm in it and its rest."""
 
     path: Path = Path()
-    mesh_dir: Path | None = option(
-        None, "folder of the mesh files", default_text="what the model says"
+    mesh_dir: Optional[Path] = option(
+        None,
+        "folder of the mesh files",
+        default_text="what the model says",
+        path_use=PathUse.FOLDER,
     )
-    joint: str | None = option(
+    joint: Optional[str] = option(
         None, "terminal joint", "NAME", default_text="found automatically"
     )
-    mass_scale: float | None = option(
+    mass_scale: Optional[float] = option(
         None,
         "multiply all masses and moments of inertia of the model by this",
         "FACTOR > 0",
     )
-    gravity: tuple[float, ...] | None = option(
+    gravity: Optional[tuple[float, ...]] = option(
         None,
         "direction in which gravity acts, in the model's axes: of an arm that hangs, or is mounted "
         "on a wall",
         metavar=("X", "Y", "Z"),
         default_text="what the model says",
     )
-    keyframe: str | None = option(
+    keyframe: Optional[str] = option(
         None,
         "keyframe in which the arm is at rest, where motions start",
         "NAME",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Optional
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.option_fields import (
@@ -52,13 +52,13 @@ class LimitOptions(OptionRecord):
         "speed limit of hinge joints, one number or one per joint",
         "V [rad/s] > 0",
     )
-    max_acceleration: float | None = option(
+    max_acceleration: Optional[float] = option(
         None,
         "acceleration limit of hinge joints",
         "A [rad/s²] > 0",
         default_text="none; for a new motion, what full speed at 0.6 Hz needs",
     )
-    max_torque: PerJoint | None = option(
+    max_torque: Optional[PerJoint] = option(
         None,
         "torque limit beside the model's own, one number or one per joint",
         "T [N·m] > 0",
@@ -69,13 +69,13 @@ class LimitOptions(OptionRecord):
         "leave torque for an unknown load up to this mass at the tip of the tool",
         "KG [kg] >= 0",
     )
-    max_tool_speed: float | None = option(
+    max_tool_speed: Optional[float] = option(
         None,
         "speed limit of the tool's fastest point",
         "V [m/s] > 0",
         default_text="none",
     )
-    workspace: tuple[float, ...] | None = option(
+    workspace: Optional[tuple[float, ...]] = option(
         None,
         "box that the terminal link stays in",
         unit="m",
@@ -233,7 +233,7 @@ class ExcitationOptions(OptionRecord):
         flag="--excitation",
         choices=EXCITATIONS,
     )
-    time_budget: float | None = option(
+    time_budget: Optional[float] = option(
         None,
         "design for at most this time",
         "S [s] > 0",

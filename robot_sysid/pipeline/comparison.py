@@ -376,13 +376,12 @@ def _of_earlier(error: InputError, model: Path, since: Sequence[Any]) -> InputEr
     takes = f"{option_name('since')} takes an earlier log, or the folder of a run on it"
     text = f"{takes}: {error}"
     paths = [str(path) for path in since if isinstance(path, Path)]
+    command_lines = []
     if paths and error.options:
         text += "; identify the arm from it with its options, and give the folder of that run"
-        error.command_lines = [
-            ["identify", str(model), *paths, *option] for option in error.options
-        ]
-    error.args = (text,)
-    return error
+        for option in error.options:
+            command_lines.append(["identify", str(model), *paths, *option])
+    return error.with_message(text, command_lines)
 
 
 def compare_logs(

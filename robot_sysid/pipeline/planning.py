@@ -36,6 +36,9 @@ from robot_sysid.wording import option_name
 
 # Poses of a motion in which the slopes of the weight are looked at.
 _SLOPE_ROWS = 1000
+REVERSAL_SPEED = 0.01
+"""Speed over which the feed-forward of dry friction turns its sign [rad/s]: a wider transition is
+gentler, but an arm that sticks longer at its reversals shows less; 0.03 costs a millimetre more."""
 LEAST_GAIN = 0.05
 """Least share by which a motion has to lower the error to expect of a file, to be worth playing:
 what is promised of a file changes by as much with other made-up motions."""
@@ -84,7 +87,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     """
     prediction, lines = predict_plan(config, checked)
     failure = checked.failure
-    shortfall = _shortfall(config, prediction)
+    shortfall = purpose_shortfall(config, prediction)
     paths: tuple[Path, ...] = ()
     step = None
     if failure:
@@ -194,7 +197,7 @@ def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
     return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
 
 
-def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
+def purpose_shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """Return why nothing gets better by a motion, the written file or a weighing; "" if it does.
 
     Args:
@@ -299,14 +302,11 @@ def motor_commands(
     [N m or N]).
 
     The step of dry friction at a reversal would be a blow to the arm, so it is made smooth:
-    coulomb tanh(qd / 0.01 rad/s) in place of coulomb sign(qd).
+    coulomb tanh(qd / ``REVERSAL_SPEED``) in place of coulomb sign(qd).
     """
     torque = ArmDynamics(robot)
-    # A wider transition is gentler, but an arm that sticks longer at its reversals shows less: 0.03
-    # costs a millimetre more.
-    speed = 0.01
     for motion in motion_chunks(plan, rate):
-        smooth = robot.friction.dry(motion.qd, lambda qd: np.tanh(qd / speed))
+        smooth = robot.friction.dry(motion.qd, lambda qd: np.tanh(qd / REVERSAL_SPEED))
         tau = torque(motion) + smooth - robot.friction.dry(motion.qd)
         yield motion.time, motion.q, motion.qd, tau
 

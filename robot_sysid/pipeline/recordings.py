@@ -44,6 +44,10 @@ from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
 from robot_sysid.wording import option_name, option_setting
 
+LEAST_WITHIN = 0.15
+"""Least share of the variance of the logs' positions that lies within the empty and within the
+loaded ones, for a drift to be told from a payload: the order A A B B has 0.2, A B has none."""
+
 
 def identify_logs(
     config: IdentifyConfig, robot: RobotModel, progress: Progress
@@ -243,4 +247,4 @@ def is_drift_identifiable(is_loaded: NDArray[np.bool_], positions: Array) -> boo
         side_positions = positions[is_loaded == loaded]
         within += np.sum((side_positions - np.mean(side_positions)) ** 2)
     total = np.sum((positions - np.mean(positions)) ** 2)
-    return bool(within >= 0.15 * total > 0.0)
+    return bool(within >= LEAST_WITHIN * total > 0.0)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from robot_sysid import __version__
 
-# Folder of the package ``robot_sysid``.
-_PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
+PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
+"""Folder of the package ``robot_sysid``."""
 
 
 def install_hint(missing: str, extra: str) -> str:
@@ -20,12 +20,12 @@ def install_hint(missing: str, extra: str) -> str:
     return f"needs {missing}; install with:\n  {install_command(extra)}"
 
 
-def install_command(extra: str) -> str:
+def install_command(extra: str, package_folder: Path = PACKAGE_FOLDER) -> str:
     """Return the command that installs this package again, with an extra.
 
-    It names the checkout that this package lies in, or else the release's wheel.
+    It names the checkout that the package's folder lies in, or else the release's wheel.
     """
-    checkout = _PACKAGE_FOLDER.parent
+    checkout = package_folder.parent
     if (checkout / "pyproject.toml").is_file():
         folder = "." if checkout == Path.cwd() else checkout
         return f'pip install -e "{folder}[{extra}]"'

@@ -9,6 +9,13 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+LEAST_PERCENT = 0.01
+"""Percentage below which a share that is not zero is no longer written as a number."""
+WHOLE_PERCENT = 99.5
+"""Percentage from which on two digits would be too few, so that it is written as a whole number."""
+MOST_PERCENT = 1000.0
+"""Percentage above which the number says no more than that it is too large."""
+
 
 def number_text(value: float, error: float | None = None) -> str:
     """Return a number with as many decimals as make two digits of its standard error.
@@ -53,11 +60,13 @@ def percent(share: float) -> str:
     for NaN.
     """
     size = 100.0 * abs(share)
-    if not size <= 1000.0:
-        return "over 1000 %" if size > 1000.0 else "not known"
-    if 0.0 < size < 0.01:
-        return "under 0.01 %"
-    return f"{100.0 * share:.2g} %" if size < 99.5 else f"{100.0 * share:.0f} %"
+    if not size <= MOST_PERCENT:
+        return f"over {MOST_PERCENT:.0f} %" if size > MOST_PERCENT else "not known"
+    if 0.0 < size < LEAST_PERCENT:
+        return f"under {LEAST_PERCENT} %"
+    return (
+        f"{100.0 * share:.2g} %" if size < WHOLE_PERCENT else f"{100.0 * share:.0f} %"
+    )
 
 
 def count_text(count: int, noun: str) -> str:

@@ -19,12 +19,22 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from enum import Enum
 from functools import cache
 from itertools import chain
 from keyword import iskeyword
 from numbers import Integral, Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Optional,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import (
@@ -48,6 +58,10 @@ SCALE = "torque_scale"
 """Key of the table of torque scales in a file."""
 CONSTANTS = "torque_constants"
 """Key of the table of torque constants in a file [N m/A]."""
+LEAST_LIKENESS = 0.7
+"""How alike two words are, from 0 to 1 of ``difflib``, of which one may be meant by the other."""
+MOST_SAMPLES = 1e9
+"""Largest number of samples of a trajectory: a run of that many takes days."""
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints for which neither the user states one nor the model a lower one
 [rad/s]."""
@@ -58,6 +72,31 @@ Record = TypeVar("Record")
 """Any class of records of options."""
 # Name of a value, unit in brackets and range, all optional, as in "V [rad/s] > 0".
 _VALUE_FORM = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
+
+
+class PathUse(Enum):
+    """What a command does with the path that an option names."""
+
+    READS = "reads the file"
+    WRITES = "writes the file"
+    FOLDER = "looks or writes into the folder"
+
+
+@dataclass(frozen=True)
+class ValueKind:
+    """What the type of a field says of its option's values.
+
+    Attributes:
+        parse: turns a text into a value; None for a switch, whose flag is all.
+        types: of a value; of its elements where it is a tuple.
+        text: what a value is, for messages.
+        per_joint: whether a value may be a tuple with a number per joint.
+    """
+
+    parse: Callable[[str], Any] | None
+    types: tuple[type, ...]
+    text: str
+    per_joint: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,14 +110,14 @@ class Option:
         unit: of the value, such as "s"; "" where it has none.
         metavar: name of the value in the help; one per value where the option takes several.
         choices: the texts that the option accepts; () where it accepts any.
-        parse: turns text into a value; None for a switch, and for what the annotation says.
-        types, type_text: of a value, and their description; ``options_of`` fills in what the
-            annotation of the field says.
+        parse: turns text into a value; None for a switch, and for what the field's type says.
+        kind: of the values; ``options_of`` fills in what the field's type says.
         check: applied to the value, or to each element of a tuple.
         default_text: describes a default that is determined only while running.
         repeats: whether the flag may stand several times, each with one value.
         takes_many: whether any number of values may follow the flag.
         short: another flag of one letter, such as "-v"; "" for none.
+        path_use: what is done with a path that is its value.
     """
 
     flag: str
@@ -88,13 +127,13 @@ class Option:
     metavar: str | tuple[str, ...] | None = None
     choices: tuple[str, ...] = ()
     parse: Callable[[str], Any] | None = None
-    types: tuple[type, ...] = (object,)
-    type_text: str = "a file, or a mapping of numbers"
+    kind: ValueKind = ValueKind(None, (object,), "a file, or a mapping of numbers")
     check: Check | None = None
     default_text: str = ""
     repeats: bool = False
     takes_many: bool = False
     short: str = ""
+    path_use: PathUse = PathUse.READS
 
     @property
     def key(self) -> str:
@@ -135,6 +174,14 @@ class OptionRecord:
                     raise InputError(f"{stated.name} {complaint}")
 
 
+@dataclass(frozen=True)
+class FileArguments(OptionRecord):
+    """Base of records of files that are passed on: whoever reads one says what it has to be."""
+
+    def __post_init__(self) -> None:
+        """Check nothing."""
+
+
 def option(
     default: Any, help: str, value: str = "", flag: str = "", **attributes: Any
 ) -> Any:
@@ -170,19 +217,35 @@ def options_of(record: Any) -> Mapping[str, Option]:
 def _options_of_class(record_class: Any) -> Mapping[str, Option]:
     """Return field name to option, with flag and parser completed, of a class of records."""
     options = {}
+    field_types = get_type_hints(record_class)
     for record_field in fields(record_class):
         stated = record_field.metadata.get("option")
         if stated is None:
             continue
-        flag = stated.flag or "--" + record_field.name.replace("_", "-")
-        # The first type that is known counts: float in "tuple[float, ...] | None".
-        names = [n for n in re.findall(r"\w+", str(record_field.type)) if n in _TYPES]
-        if names:
-            parse, types, text = _TYPES[names[0]]
-            parse = stated.parse or parse
-            stated = replace(stated, parse=parse, types=types, type_text=text)
-        options[record_field.name] = replace(stated, flag=flag)
+        name = record_field.name
+        value_type = _single_type(field_types[name])
+        # A type that is no kind, such as another record, comes with a parser of its own.
+        if value_type in _KINDS:
+            kind = _KINDS[value_type]
+            stated = replace(stated, kind=kind, parse=stated.parse or kind.parse)
+        elif stated.parse is None:
+            raise TypeError(
+                f"{record_class.__name__}.{name}: no option is {value_type}"
+            )
+        flag = stated.flag or "--" + name.replace("_", "-")
+        options[name] = replace(stated, flag=flag)
     return options
+
+
+def _single_type(field_type: Any) -> Any:
+    """Return the type of one value of a field: float for ``Optional[tuple[float, ...]]``."""
+    if get_origin(field_type) is Union:
+        members = [each for each in get_args(field_type) if each is not type(None)]
+        field_type = Union[tuple(members)]
+    # A name such as PerJoint is a kind of its own, of which a tuple is one form.
+    while get_origin(field_type) is tuple:
+        field_type = get_args(field_type)[0]
+    return field_type
 
 
 def given_values(record: Any) -> dict[str, Any]:
@@ -224,12 +287,15 @@ def command_arguments(
     return arguments
 
 
-def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record:
+def record_from(
+    record_class: type[Record], values: Mapping[str, Any], default: Record | None = None
+) -> Record:
     """Return a record of a class, with a value for each option that ``values`` has by its key.
 
-    All other options have their defaults; keys that are no options of this class are ignored. A
-    text is parsed as on the command line, a list or array becomes a tuple. Raises InputError where
-    a value has another type than its option, or fails its check.
+    All other options have their defaults, or are those of the record ``default``; keys that are no
+    options of this class are ignored. A text is parsed as on the command line, a list or array
+    becomes a tuple. Raises InputError where a value has another type than its option, or fails its
+    check.
     """
     arguments = {}
     for name, stated in options_of(record_class).items():
@@ -237,6 +303,8 @@ def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record
             value = values[stated.key]
             is_default = value is None and stated.default is None
             arguments[name] = None if is_default else _checked_value(stated, value)
+    if default is not None:
+        return replace(default, **arguments)  # type: ignore[type-var]
     return record_class(**arguments)
 
 
@@ -268,16 +336,16 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
         is_single = not isinstance(value[:1] and value[0], tuple)
     if takes_many and is_single:
         value = (value,)
-    takes_many = takes_many or has_rows or stated.type_text.endswith(_PER_JOINT)
+    takes_many = takes_many or has_rows or stated.kind.per_joint
     # Python counts a bool as a number; an option does not.
     fits = takes_many or is_single
     for leaf in leaves(value):
-        fits &= isinstance(leaf, stated.types) and (
-            bool in stated.types or not isinstance(leaf, bool)
+        fits &= isinstance(leaf, stated.kind.types) and (
+            bool in stated.kind.types or not isinstance(leaf, bool)
         )
     if not fits:
         raise InputError(
-            f"{stated.name} must be {stated.type_text} (got {raw_value!r:.60})"
+            f"{stated.name} must be {stated.kind.text} (got {raw_value!r:.60})"
         )
     return value
 
@@ -338,7 +406,7 @@ def suggestion(word: str, valid_words: Iterable[str]) -> str:
     """Return "did you mean X?" with the valid word that is most like a word, "" for none."""
     from difflib import get_close_matches
 
-    matches = get_close_matches(word, valid_words, n=1, cutoff=0.7)
+    matches = get_close_matches(word, valid_words, n=1, cutoff=LEAST_LIKENESS)
     return f"did you mean {matches[0]}?" if matches else ""
 
 
@@ -504,33 +572,31 @@ def parse_whole_number(text: str) -> int:
         raise InputError(f"{text!r} is not a whole number; write 3 or 0x03") from None
 
 
-# End of the description of a value that may be one number per joint.
-_PER_JOINT = "one per joint"
-# Name of a type in a field's annotation to what parses a text, to the types of its values and to a
-# description of them for messages.
-_TYPES: Mapping[str, tuple[Any, tuple[type, ...], str]] = {
-    "PerJoint": (parse_numbers, (Real,), f"a number, or {_PER_JOINT}"),
-    "Factors": (
+_KINDS: Mapping[Any, ValueKind] = {
+    PerJoint: ValueKind(
+        parse_numbers, (Real,), "a number, or one per joint", per_joint=True
+    ),
+    Factors: ValueKind(
         parse_factors,
         (Real, os.PathLike),
-        f"a number, a file, or {_PER_JOINT}",
+        "a number, a file, or one per joint",
+        per_joint=True,
     ),
-    "Columns": (
-        parse_columns,
-        (str, os.PathLike),
-        "a file, or a line such as 'position = q[*]'",
+    Columns: ValueKind(
+        parse_columns, (str, os.PathLike), "a file, or a line such as 'position = q[*]'"
     ),
-    "float": (float, (Real,), "a number"),
-    "int": (parse_whole_number, (Integral,), "a whole number"),
-    "str": (str, (str,), "a text"),
-    "Path": (Path, (os.PathLike,), "a path"),
-    "bool": (None, (bool,), "True or False"),
+    float: ValueKind(float, (Real,), "a number"),
+    int: ValueKind(parse_whole_number, (Integral,), "a whole number"),
+    str: ValueKind(str, (str,), "a text"),
+    Path: ValueKind(Path, (os.PathLike,), "a path"),
+    bool: ValueKind(None, (bool,), "True or False"),
 }
+"""Type of one value of an option, as its field states it, to what it says of the values."""
 
 
 def value_text(stated: Option) -> str:
     """Return what an option's value is in Python, such as "a number [s]"."""
-    text = stated.type_text
+    text = stated.kind.text
     if stated.choices:
         *quoted, last = (f'"{choice}"' for choice in stated.choices)
         text = f"{', '.join(quoted)} or {last}"
@@ -551,7 +617,7 @@ class TrajectoryOptions(OptionRecord):
     sample_rate: float = option(
         1000.0, "samples per second; higher gives more equations", "RATE [Hz] > 0"
     )
-    seed: int | None = option(
+    seed: Optional[int] = option(
         None,
         "seed of the random trajectory and of simulated noise",
         ">= 0",
@@ -563,14 +629,15 @@ class TrajectoryOptions(OptionRecord):
         "FACTOR",
         check=check_speed_factor,
     )
-    file: Path | None = option(
+    file: Optional[Path] = option(
         None, "use a trajectory that was saved", "FILE", flag="--trajectory"
     )
-    save: Path | None = option(
+    save: Optional[Path] = option(
         None,
         "write the trajectory as JSON (coefficients), and as CSV (samples) beside it",
         "FILE",
         flag="--save-trajectory",
+        path_use=PathUse.WRITES,
     )
 
     def __post_init__(self) -> None:
@@ -591,11 +658,10 @@ def require_countable(duration: float, sample_rate: float) -> None:
         sample_rate: number of samples per second [Hz].
     """
     count = duration * sample_rate
-    most = 1e9  # which takes days
-    if not count <= most:
+    if not count <= MOST_SAMPLES:
         raise InputError(
             f"a trajectory of {duration:.3g} s with "
             f"{option_name('sample_rate', f'{sample_rate:g}')} has {count:.3g} samples, more than "
-            f"the {most:.0e} a run can take; shorten it, raise {option_name('speed')} where that "
-            "slows it down, or lower the rate"
+            f"the {MOST_SAMPLES:.0e} a run can take; shorten it, raise {option_name('speed')} "
+            "where that slows it down, or lower the rate"
         )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Optional
 
-from robot_sysid.records.option_fields import OptionRecord, PerJoint, option
+from robot_sysid.records.option_fields import OptionRecord, PathUse, PerJoint, option
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class SimulatedArmOptions(OptionRecord):
         save_measurements: CSV file to write the measurements to.
     """
 
-    plant_model: Path | None = option(
+    plant_model: Optional[Path] = option(
         None, "model that plays the real arm and makes the torques", "TRUTH.xml"
     )
     noise_torque: PerJoint = option(
@@ -28,6 +29,9 @@ class SimulatedArmOptions(OptionRecord):
         "S [N·m] >= 0",
     )
     encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
-    save_measurements: Path | None = option(
-        None, "write the simulated measurements as a log", "FILE"
+    save_measurements: Optional[Path] = option(
+        None,
+        "write the simulated measurements as a log",
+        "FILE",
+        path_use=PathUse.WRITES,
     )

@@ -6,11 +6,13 @@ import ast
 import inspect
 import re
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 import robot_sysid as rs
+from rigs.command_line import COMMANDS, require_names
 from rigs.option_samples import samples
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.wording import (
@@ -106,6 +108,17 @@ def test_texts_name_options_for_their_reader():
         assert with_option_names(template) == 'known_mass, columns=FILE or units="deg"'
         assert (several(), quoted()) == ('accept=["zero", "tilt"]', 'torques="all"')
         assert option_name("rate", "250") == "rate=250"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_help_has_a_field_in_the_place_of_a_name(name):
+    for option in chain(*COMMANDS[name].groups.values()):
+        for template in (option.help, option.default_text):
+            require_names(with_option_names(template))
+            with in_python():
+                require_names(with_option_names(template))
+    with pytest.raises(AssertionError):
+        require_names("give {columns FILE}")
 
 
 KEYS = {

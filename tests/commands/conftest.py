@@ -20,7 +20,7 @@ def without_prediction(monkeypatch):
         return None, [*limit_lines(*motion), *motion_lines(*motion)]
 
     monkeypatch.setattr(planning, "predict_plan", predict_plan)
-    monkeypatch.setattr(planning, "_shortfall", lambda *_: "")
+    monkeypatch.setattr(planning, "purpose_shortfall", lambda *_: "")
 
 
 @pytest.fixture

@@ -95,7 +95,8 @@ def test_a_bar_tells_the_time_left_until_a_line_takes_its_place(monkeypatch):
         console.stage(Detail("nobody sees this"))
     assert re.search(r"Identifying: +30%.*\[00:0\d<00:0\d\]", sys.stderr.getvalue())
     console.stage("a line")
-    assert sys.stdout.getvalue() == "a line\n" and console._bar is None
+    assert sys.stdout.getvalue() == "a line\n"
+    assert sys.stderr.getvalue().endswith("\r")
 
 
 def test_a_log_file_is_told_now_and_then_that_something_long_lives(monkeypatch, capsys):

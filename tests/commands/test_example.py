@@ -11,18 +11,6 @@ import pytest
 
 from rigs.places import EXAMPLE, ROOT
 from robot_sysid.cli import main
-from robot_sysid.commands import example
-
-
-@pytest.fixture
-def without_recording(monkeypatch):
-    """The logs of the true arm take a second each to simulate."""
-
-    def record(model, folder):
-        for log in example.PLANTS:
-            (folder / log).write_text("time\n")
-
-    monkeypatch.setattr(example, "_record_logs", record)
 
 
 def printed_commands(out: str) -> list[list[str]]:
@@ -33,7 +21,6 @@ def printed_commands(out: str) -> list[list[str]]:
     ]
 
 
-@pytest.mark.usefixtures("without_recording")
 def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path):
     out = command.run("example kinova --output-dir", Path("a/b c")).out
     commands = printed_commands(out)
@@ -51,11 +38,11 @@ def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path)
 
 
 def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
-    def fail(model, folder):
-        assert model.is_dir() and not (tmp_path / "kinova").exists()
+    def fail(draft, folder):
+        assert (draft / "model").is_dir() and not folder.exists()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(example, "_record_logs", fail)
+    monkeypatch.setattr("os.rename", fail)
     assert "no unfinished file is left" in command.refused("example kinova", code=130)
 
 

@@ -24,11 +24,6 @@ MODEL = arms.serial_arm((arms.Z, arms.Y), joint=f'range="{LOWER} {UPPER}"')
 STOPS = LOWER, UPPER
 
 
-@pytest.fixture(autouse=True)
-def looks_often(monkeypatch):
-    monkeypatch.setattr(limp, "_LOOK", 1e-3)
-
-
 def wait_for_looks(bus):
     """Wait until all motors were looked at often enough at the same angles, or are not any more."""
     # Each look asks both motors; the first one may have begun before.

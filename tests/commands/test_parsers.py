@@ -114,11 +114,11 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
     full = help_lines([*name.split(), "--help-all"], capsys)
     assert max(map(len, (*lines[1:], *full[1:]))) <= 100
     assert name == "log" or len(lines) <= 51
-    for action in Parser(COMMANDS[name])._actions:
+    for action in Parser(COMMANDS[name]).actions:
         assert all(
             re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings
         )
-    actions = Parser(COMMANDS[name], full=False)._actions
+    actions = Parser(COMMANDS[name], full=False).actions
     visible = {action.dest for action in actions if action.help != argparse.SUPPRESS}
     main = COMMANDS[name].main
     hidden = {action.dest for action in actions} - visible

@@ -61,9 +61,7 @@ def words_with(command, action, path):
     elif flag:
         arguments += [flag, path]
     else:
-        positionals = [
-            a.dest for a in PARSERS[command]._actions if not a.option_strings
-        ]
+        positionals = [a.dest for a in PARSERS[command].actions if not a.option_strings]
         arguments[positionals.index(action.dest)] = path
     return [*command.split(), *arguments]
 
@@ -73,7 +71,7 @@ CASES = [
         command, action, id=f"{command} {(*action.option_strings, action.dest)[0]}"
     )
     for command, parser in PARSERS.items()
-    for action in parser._actions
+    for action in parser.actions
     if is_path(action)
 ]
 

@@ -13,7 +13,7 @@ from rigs import arms
 from rigs.damiao_rig import swing, trajectory_file, trajectory_of
 from robot_sysid.damiao.checks.model import torque_checks, with_weight_of
 from robot_sysid.damiao.checks.preflight import limit_checks, weight_checks
-from robot_sysid.damiao.execution import MotorRun
+from robot_sysid.damiao.execution import MotorRun, RunOptions
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.damiao.weight_file import export_weight, weight_path
@@ -171,12 +171,13 @@ def test_a_file_of_another_model_is_said_but_played(share, is_said):
 def test_a_run_takes_the_models_weight_or_that_beside_its_file(tmp_path, arm_file):
     weight = np.ones_like(MOTION[1])
     path = with_file(tmp_path, weight, weight).path
-    run = MotorRun({"trajectory": path})
+    run = MotorRun(RunOptions.of({"trajectory": path}))
     np.testing.assert_array_equal(run.plan().trajectory.weight, weight)
     model = arm_file(DAMPED)
-    planned = MotorRun({"trajectory": path, "model": model}).plan().trajectory
+    options = RunOptions.of({"trajectory": path, "model": model})
+    planned = MotorRun(options).plan().trajectory
     expected = with_weight_of(arms.robot_of(DAMPED), planned)
     np.testing.assert_allclose(planned.weight, expected.weight)
     values = {"trajectory": path, "record": weight_path(path), "overwrite": True}
     with pytest.raises(InputError, match="would overwrite a file that is read"):
-        MotorRun(values).plan()
+        MotorRun(RunOptions.of(values)).plan()

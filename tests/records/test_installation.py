@@ -4,21 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 import robot_sysid
 from rigs.places import ROOT
 from robot_sysid.records import installation
 
 WHEEL = f"robot_sysid-{robot_sysid.__version__}-py3-none-any.whl"
-
-
-@pytest.fixture
-def site_packages(tmp_path, monkeypatch):
-    """Make the package one that was installed into a folder without a checkout around it."""
-    monkeypatch.setattr(
-        installation, "_PACKAGE_FOLDER", tmp_path / "site" / "robot_sysid"
-    )
 
 
 def test_a_checkout_is_installed_again_from_wherever_the_user_stands(
@@ -30,8 +20,10 @@ def test_a_checkout_is_installed_again_from_wherever_the_user_stands(
     assert installation.install_command("logs") == f'pip install -e "{ROOT}[logs]"'
 
 
-def test_without_a_checkout_the_wheel_is_named(site_packages):
-    assert installation.install_command("can") == f'pip install "{WHEEL}[can]"'
+def test_without_a_checkout_the_wheel_is_named(tmp_path):
+    package = tmp_path / "site" / "robot_sysid"
+    command = installation.install_command("can", package)
+    assert command == f'pip install "{WHEEL}[can]"'
 
 
 def test_no_message_or_page_installs_from_an_index_that_does_not_have_it():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Optional
 
 import numpy as np
 import pytest
@@ -42,9 +43,9 @@ class Oven(OptionRecord):
 
     name: str = "unnamed"
     heat: float = option(180.0, "how hot", unit="°C", check=check_positive)
-    fan_speed: int | None = option(None, "turns per second", flag="--fan")
+    fan_speed: Optional[int] = option(None, "turns per second", flag="--fan")
     trays: tuple[float, ...] = option((), "heights", check=check_positive, repeats=True)
-    recipe: Path | None = option(None, "file")
+    recipe: Optional[Path] = option(None, "file")
     mode: str = option("top", "where from", choices=("top", "bottom"))
     gas: bool = option(False, "burn gas")
     levels: PerJoint = option(1.0, "of each joint")
@@ -66,6 +67,20 @@ def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names()
     ]
     oven = Oven(name="big", heat=200.0, recipe=Path("bread.txt"))
     assert given_values(oven) == {"heat": 200.0, "recipe": Path("bread.txt")}
+
+
+def test_a_type_that_python_3_9_cannot_evaluate_or_that_is_no_kind_is_refused():
+    @dataclass(frozen=True)
+    class Union(OptionRecord):
+        heat: float | None = option(None, "how hot")
+
+    @dataclass(frozen=True)
+    class Unknown(OptionRecord):
+        heat: complex = option(0j, "how hot")
+
+    for record in (Union, Unknown):
+        with pytest.raises(TypeError):
+            options_of(record)
 
 
 REFUSED = {

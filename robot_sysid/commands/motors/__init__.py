@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -31,7 +31,12 @@ from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.after_run import judge_run, recorded_plan
 from robot_sysid.damiao.checks.preflight import stops
-from robot_sysid.damiao.execution import LIMIT_OPTIONS, SIMULATED_OPTIONS, ArmFiles
+from robot_sysid.damiao.execution import (
+    LIMIT_OPTIONS,
+    SIMULATED_OPTIONS,
+    ArmFiles,
+    RunOptions,
+)
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
     ARM_OPTIONS,
@@ -43,7 +48,12 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.errors import EXIT_CODES, InputError, SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import Option, options_of_all
+from robot_sysid.records.option_fields import (
+    Option,
+    OptionRecord,
+    options_of_all,
+    record_from,
+)
 
 
 def check(session: Session) -> int:
@@ -53,7 +63,7 @@ def check(session: Session) -> int:
     """
     plan = session.plan()
     inspection = None
-    if session.address.channel:
+    if session.options.address.channel:
         with session.open_guarded() as link:
             inspection = inspect_bus(link)
     faults = len(stops(findings(session, plan, inspection)))
@@ -78,7 +88,7 @@ def play(session: Session, is_real: bool = True) -> int:
         with opened as link:
             report = run_checked(session, link, recorded, inspect_bus(link), is_real)
         # The motors are off, and the bus is closed.
-        said = judge_run(recorded, session.values)
+        said = judge_run(recorded, session.options.files.model, session.options.model)
     session.console.stage(*said.lines)
     if conclude_on_reports(session, report, plan.trajectory.joints):
         return 1
@@ -97,7 +107,8 @@ def play(session: Session, is_real: bool = True) -> int:
 
 
 def run_command(
-    action: Callable[[Session], int],
+    action: Callable[..., int],
+    own_options: Sequence[type[OptionRecord]],
     name: str,
     values: Mapping[str, Any],
     console: Console,
@@ -107,34 +118,36 @@ def run_command(
     A SysidError that ends the command is raised again when the result has been printed.
 
     Args:
-        action: what the command does.
+        action: what the command does: called with the session and its own options.
+        own_options: records of the options that no other command has.
         name: of the command, without "motors".
         values: of the options, by key.
         console: prints what happens.
     """
-    session = Session(values, console)
+    session: Session | None = None
 
-    def print_result(code: int) -> None:
+    def print_result(code: int, verdict: Sequence[str]) -> None:
         """Print what came of the command that ends with an exit code."""
         content = {
             "command": name,
             "exit_code": code,
-            "verdict": session.verdict,
-            "next_step": session.step,
+            "verdict": verdict,
+            "next_step": session and session.step,
             "lines": console.json_lines,
         }
         console.result(content)
 
     try:
-        code = action(session)
+        choices = record_from(PlayChoices, values)
+        session = Session(RunOptions.of(values), console, choices)
+        code = action(session, *(record_from(each, values) for each in own_options))
         console.stage(*session.verdict)
     except SysidError as error:
-        session.verdict = (f"Not usable: {error}",)
         # An error of printing must not hide what happened to the motors.
         with contextlib.suppress(Exception):
-            print_result(error.exit_code)
+            print_result(error.exit_code, (f"Not usable: {error}",))
         raise
-    print_result(code)
+    print_result(code, session.verdict)
     return code
 
 
@@ -158,23 +171,24 @@ _PLANT = {"simulated arm": SIMULATED_OPTIONS}
 
 def _command(
     name: str,
-    action: Callable[[Session], int],
+    action: Callable[..., int],
     example: str,
     description: str,
     groups: Mapping[str, Iterable[Option]],
     main: str = "",
     required: Collection[str] = (),
+    own_options: Sequence[type[OptionRecord]] = (),
 ) -> Command:
     """Return the command ``motors NAME``; the arguments are those of ``Command``.
 
-    The keys of ``main`` have blanks between them.
+    The keys of ``main`` have blanks between them; ``own_options`` are those of ``run_command``.
     """
     return Command(
         f"motors {name}",
         f"motors {name} {example}",
         description,
         groups,
-        partial(run_command, action, name),
+        partial(run_command, action, own_options, name),
         main.split(),
         required,
         EXIT_CODES,
@@ -259,6 +273,7 @@ _PLAYED = (
         },
         main=_MAIN,
         required=("model", "to"),
+        own_options=(MoveOptions,),
     ),
     _command(
         "setup",
@@ -267,6 +282,7 @@ _PLAYED = (
         "List the motors on a bus, or change one: ids, mode, watchdog, error. "
         "Never while it is enabled.",
         {**_BUS, "arm": _MODEL, "setup": options_of_all(SetupOptions)},
+        own_options=(SetupOptions,),
     ),
     _command(
         "monitor",
@@ -274,6 +290,7 @@ _PLAYED = (
         "--channel can0",
         "Show what the motors measure, again and again. Enables nothing.",
         {**_BUS, "monitor": options_of_all(MonitorOptions)},
+        own_options=(MonitorOptions,),
     ),
     _command(
         "map",
@@ -283,6 +300,7 @@ _PLAYED = (
         "zero is. The arm is limp: support it, and move one joint at a time when you are asked.",
         {"arm": _MODEL, **_BUS, "map": options_of_all(MapOptions)},
         required=("model",),
+        own_options=(MapOptions,),
     ),
 )
 _NAMES = [command.name.split()[1] for command in _PLAYED]

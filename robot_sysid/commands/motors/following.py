@@ -10,6 +10,7 @@ import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from robot_sysid.commands import PROGRAM
 from robot_sysid.commands.motors.session import Session
 from robot_sysid.config import OutputOptions
 from robot_sysid.damiao.adapters import BusAddress
@@ -22,7 +23,7 @@ from robot_sysid.pipeline.next_steps import step_after
 from robot_sysid.records import RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import NextStep
-from robot_sysid.records.option_fields import keys_of
+from robot_sysid.records.option_fields import command_arguments, options_of_all
 
 _PLACES = Path(), Path("planned"), OutputOptions().output_dir
 """Folders in which a planned motion is looked for: this one, that of the command that is printed
@@ -45,7 +46,8 @@ def planned_motion(robot: RobotModel | None) -> Path | None:
 
 def plan_step(session: Session, motor_types: Iterable[str]) -> NextStep:
     """Return the step that plans a motion for the model's arm with motors of some types (n,)."""
-    values = {**session.values, "path": session.values["model"]}
+    options = session.options
+    values = {**options.given, "path": options.files.model}
     words = ["--for", "arm", "--export-damiao"]
     for motor_type in motor_types:
         words += ["--motor-type", motor_type]
@@ -89,5 +91,6 @@ def step_with_motors(
         if all(len(names) == 1 for names in types):
             return plan_step(session, [name for (name,) in types])
         sentence += "; to plan a motion, the registers of one motor per joint have to tell its type"
-    others = session.values.keys() - keys_of(BusAddress, BusTiming)
-    return session.step_to("monitor", sentence, **dict.fromkeys(others))
+    of_bus = options_of_all(BusAddress, BusTiming)
+    arguments = command_arguments(session.options.given, of_bus)
+    return NextStep(sentence, (PROGRAM, "motors", "monitor", *arguments))

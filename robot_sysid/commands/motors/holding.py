@@ -16,9 +16,8 @@ from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.floating import Floating, measure_drift
 from robot_sysid.damiao.protocol import Scaling
 from robot_sysid.damiao.references import Activity, hold_reference
-from robot_sysid.damiao.settings import HoldOptions, Plan
+from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records.option_fields import record_from
 
 
 def hold(session: Session) -> int:
@@ -27,7 +26,7 @@ def hold(session: Session) -> int:
     Returns the exit code: 1 where a motor reported a fault again and again, else 0. Errors are
     those of ``run_checked`` and ``standing_plan``.
     """
-    options = record_from(HoldOptions, session.values)
+    options = session.options.standing
     is_real = not options.simulate
     opened = (
         session.open_guarded()

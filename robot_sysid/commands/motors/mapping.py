@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Optional
 
 import numpy as np
 
@@ -28,9 +29,21 @@ from robot_sysid.damiao.joints import map_joints as select_rows
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
 from robot_sysid.records.file_access import require_writable
-from robot_sysid.records.option_fields import OptionRecord, option, record_from
+from robot_sysid.records.option_fields import OptionRecord, option
 from robot_sysid.wording import option_name
 
+SHOWN_TURN = 0.3
+"""Turn of a joint whose effect is described to a person [rad]: large enough to be seen."""
+LEAST_SEEN = 0.02
+"""Displacement of the tip of an arm which a person sees, along an axis of the world [m]."""
+LEAST_TURN = 0.15
+"""Turn from which on a motor was moved by a person [rad]: half of the 20 degrees asked for."""
+MOST_DRAGGED = 3.0
+"""How many times farther the motor of a moved joint turns, at least, than one that a limp arm drags
+along (a judgement)."""
+POSE_TOLERANCE = 0.2
+"""How far a joint may have been beyond its range, by a zero from a pose that a person makes by hand
+[rad]: each joint was moved by more."""
 # Names of the negative and the positive direction of each axis of the world.
 _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 
@@ -44,7 +57,7 @@ class MapOptions(OptionRecord):
         False,
         "zeros from both end stops of each joint, in place of the model's own pose",
     )
-    joint_map: Path | None = option(
+    joint_map: Optional[Path] = option(
         None,
         "with {zeros_at_stops}: begin with this map, and renew its zeros alone",
         "FILE",
@@ -65,26 +78,25 @@ def movement_texts(robot: RobotModel) -> Iterator[str]:
     joints = model.dof_jntid[robot.dof_index].tolist()
     reference = robot.reference_qpos
     start = data_at_pose(model, reference)
-    # Row j of the matrix turns joint j alone, by 0.3 rad.
-    for joint, turn in zip(joints, 0.3 * np.eye(model.nq)[robot.qpos_index]):
+    # Row j of the matrix turns joint j alone.
+    turns = SHOWN_TURN * np.eye(model.nq)[robot.qpos_index]
+    for joint, turn in zip(joints, turns):
         turned = data_at_pose(model, reference + turn)
         vector = (turned.xipos - start.xipos)[robot.body_id]
         text = "the end of the arm moves towards"
-        # A person sees a tip that moves by more than 2 cm.
-        if not np.max(np.abs(vector)) > 0.02:
+        if not np.max(np.abs(vector)) > LEAST_SEEN:
             vector = start.xaxis[joint]
             text = "it turns counter-clockwise seen from"
         axis = np.argmax(np.abs(vector))
         yield f"{text} {_DIRECTIONS[axis][int(vector[axis] > 0.0)]}"
 
 
-def map_joints(session: Session) -> int:
+def map_joints(session: Session, options: MapOptions) -> int:
     """Write the joint map that a person shows by moving the limp arm; return the exit code 0.
 
     InputError where the map's file exists already or cannot be written, before the arm is moved;
     other errors are those of ``mounted_by_hand``, ``zeros_at_pose`` and ``zeros_at_stops``.
     """
-    options = record_from(MapOptions, session.values)
     robot = session.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
@@ -173,8 +185,8 @@ def zeros_at_pose(
         position = positions[joint.can_id]
         offset = round(position - joint.direction * robot.reference[j], 4)
         reached = joint.direction * (end - offset)
-        # A pose is made by hand to some tenth of a radian; each joint was moved by more.
-        if abs(reached - robot.limits.center[j]) > robot.limits.span[j] + 0.2:
+        farthest = robot.limits.span[j] + POSE_TOLERANCE
+        if abs(reached - robot.limits.center[j]) > farthest:
             raise HardwareAbort(
                 f"joint {joint.name} would have been moved to {reached:.2f} rad, which is not in "
                 "its range: it went the other way than was said, or the pose is another; nothing "
@@ -217,8 +229,8 @@ def _find_motor(
         end = read_positions()
         turns = {can_id: end[can_id] - start[can_id] for can_id in can_ids}
         *others, (size, can_id) = sorted((abs(turns[i]), i) for i in turns)
-        # Half of the 20 degrees asked for, and thrice what a limp arm drags along (judgements).
-        if size <= max([0.15, *(3.0 * dragged for dragged, _ in others)]):
+        most_dragged = max((dragged for dragged, _ in others), default=0.0)
+        if size <= max(LEAST_TURN, MOST_DRAGGED * most_dragged):
             complaint = "no motor, or several, turned clearly; "
         elif answer in senses:
             direction = senses[answer] * (1 if turns[can_id] > 0.0 else -1)

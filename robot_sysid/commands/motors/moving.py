@@ -29,15 +29,16 @@ from robot_sysid.damiao.references import (
     transfer_reference,
 )
 from robot_sysid.damiao.safety.holding import HoldingTorque
-from robot_sysid.damiao.settings import HoldOptions, MoveOptions, Plan
+from robot_sysid.damiao.settings import MoveOptions, Plan
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
-from robot_sysid.records.option_fields import record_from
 from robot_sysid.wording import option_setting
 
 ROW_TIME = 0.02
 """Time from row to row of the motion that is checked [s]: at 0.2 rad/s a joint moves by 0.004 rad,
 and what lies between two rows is a straight line."""
+PEAK_SPEED = 15.0 / 8.0
+"""Peak over mean speed of a transfer, whose way is a polynomial of fifth degree in time."""
 OTHER_POSE = "move to another pose, or bring the arm elsewhere by hand"
 """Remedy for a way that leaves an arm's limits, or on which something touches."""
 
@@ -92,7 +93,7 @@ def moving_plan(standing: Plan, robot: RobotModel, goal: Array) -> Plan:
         Reference(start, nothing, nothing),
         Reference(goal, nothing, nothing),
         settings.approach_speed,
-        max(settings.approach_time, 15.0 / 8.0 * longest / settings.approach_speed),
+        max(settings.approach_time, PEAK_SPEED * longest / settings.approach_speed),
         # The torques of all rows follow at once, below.
         HoldingTorque(joints, np.zeros_like, nothing),
     )
@@ -127,17 +128,17 @@ def moving_activity(plan: Plan, holding: HoldingTorque, goal_name: str) -> Activ
     return Activity(announcement, begin, plan.duration)
 
 
-def move(session: Session) -> int:
+def move(session: Session, options: MoveOptions) -> int:
     """Move an arm to a pose of its model, hold it there for a moment, and disable it.
 
     Returns the exit code, see ``conclude_on_reports``. Errors are those of ``run_checked``,
     ``standing_plan`` and ``goal_pose``: a pose that does not exist is refused before anything is
     asked of a motor.
     """
-    words = record_from(MoveOptions, session.values).to
+    words = options.to
     robot = session.robot
     goal = goal_pose(robot, words)
-    is_real = not record_from(HoldOptions, session.values).simulate
+    is_real = not session.options.standing.simulate
     opened = (
         session.open_guarded()
         if is_real
@@ -153,9 +154,15 @@ def move(session: Session) -> int:
     ids = [joint.can_id for joint in joints]
     step = step_with_motors(session, robot, inspection.motors, ids)
     if not is_real:
-        options = {"channel": USUAL_CHANNEL, **session.values}
-        options.update(record=None, overwrite=None)
         sentence = "Next, with the arm connected, move it"
-        step = session.step_to("move", sentence, "--to", *words, **options)
+        step = session.step_to(
+            "move",
+            sentence,
+            "--to",
+            *words,
+            channel=session.options.address.channel or USUAL_CHANNEL,
+            record=None,
+            overwrite=None,
+        )
     session.conclude(f"Done: moved to {goal_name}, and all motors are disabled", step)
     return conclude_on_reports(session, report, joints)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, inspect_bus
 from robot_sysid.damiao.checks.preflight import require_playable
-from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, run
+from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, RunOptions, run
 from robot_sysid.damiao.joints import DamiaoJoint, matching_types
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_text
@@ -24,14 +24,11 @@ from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.pipeline.next_steps import step_with_motion
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    command_arguments,
-    option,
-    record_from,
-)
-from robot_sysid.simulation import SimulatedArmOptions
+from robot_sysid.records.option_fields import OptionRecord, command_arguments, option
 
+FIRST_SPEED = 0.3
+"""Share of the planned speed at which a motion is played first: someone who watches has the time to
+stop the arm."""
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
 
@@ -67,25 +64,32 @@ class Session(MotorRun):
     """One run of a motors command: a run on motors with a console.
 
     Args:
-        values: value of each option that was given, by its key.
+        options: of the run.
         console: prints what happens.
+        choices: whether a person is asked before the arm moves.
 
     Attributes:
-        console: as given.
+        console, choices: as given.
         verdict: last lines of the output, which the command sets.
         step: what to do next, the first of the verdict's steps; None where nothing is left to do.
     """
 
-    def __init__(self, values: Mapping[str, Any], console: Console) -> None:
-        super().__init__(values)
+    def __init__(
+        self,
+        options: RunOptions,
+        console: Console,
+        choices: PlayChoices = PlayChoices(),
+    ) -> None:
+        super().__init__(options)
         self.console = console
+        self.choices = choices
         self.verdict: tuple[str, ...] = ()
         self.step: NextStep | None = None
 
     @property
     def simulates_usual_arm(self) -> bool:
         """Whether a simulated arm is the usual one, and not that of another model."""
-        return record_from(SimulatedArmOptions, self.values).plant_model is None
+        return self.options.plant.plant_model is None
 
     def conclude(self, verdict: str, *steps: NextStep) -> None:
         """Set the verdict: a line, and what to do next, one step after the other."""
@@ -95,7 +99,7 @@ class Session(MotorRun):
     def step_to(
         self, name: str, sentence: str, *words: str, **changes: Any
     ) -> NextStep:
-        """Return the step to the motors command ``name`` with the options of this run.
+        """Return the step to the motors command ``name`` with the options given to this run.
 
         Args:
             name: of the command.
@@ -103,7 +107,7 @@ class Session(MotorRun):
             words: further words of the command.
             changes: values of options, by key, that are added or replaced; None leaves one out.
         """
-        arguments = command_arguments({**self.values, **changes}, RUN_OPTIONS)
+        arguments = command_arguments({**self.options.given, **changes}, RUN_OPTIONS)
         return NextStep(sentence, (PROGRAM, "motors", name, *arguments, *words))
 
 
@@ -269,7 +273,7 @@ def run_checked(
     if not is_real and session.simulates_usual_arm:
         console.stage(_USUAL_ARM)
     require_playable(findings(session, plan, inspection, is_real))
-    if is_real and not record_from(PlayChoices, session.values).yes:
+    if is_real and not session.choices.yes:
         if not sys.stdin.isatty():
             raise InputError(
                 "nobody can confirm: standard input is no terminal; give --yes"
@@ -309,12 +313,12 @@ def play_step(session: Session, plan: Plan) -> NextStep:
     """
     options = {
         "channel": USUAL_CHANNEL,
-        "speed": 0.3,
+        "speed": FIRST_SPEED,
         "record": plan.trajectory.path.with_name("slow.csv"),
-        **session.values,
+        **session.options.given,
     }
     sentence = "Next, play it slowly"
-    if "channel" not in session.values:
+    if session.options.address.channel is None:
         sentence += f", on the arm at {USUAL_CHANNEL} (change --channel for another)"
     return session.step_to("play", sentence, **options)
 
@@ -331,10 +335,10 @@ def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextSt
     record = plan.recording.record
     log = record or folder / "measured.csv"
     is_fast = record is not None and plan.settings.speed >= 1.0
-    model = session.values.get("model")
+    model = session.options.files.model
     values = {"path": "arm.xml", **planned}
     if model:
-        values = {**session.values, "path": model}
+        values = {**session.options.given, "path": model}
     results = log.parent if planned and is_real else log.with_suffix("")
     if is_real and not is_fast and purpose != "payload":
         sentence = "Next, play it at full speed and record it, to identify from"
@@ -342,10 +346,14 @@ def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextSt
         return [session.step_to("play", sentence, speed=None, record=log)]
     if is_real:
         return [step_with_motion("motion recorded", purpose, values, results, log)]
-    options = {"speed": None, "record": None, "overwrite": None}
-    options["channel"] = session.values.get("channel", USUAL_CHANNEL)
-    sentence = "Next, with the arm connected, check its motors"
-    check = session.step_to("check", sentence, **options)
+    check = session.step_to(
+        "check",
+        "Next, with the arm connected, check its motors",
+        speed=None,
+        record=None,
+        overwrite=None,
+        channel=session.options.address.channel or USUAL_CHANNEL,
+    )
     if not is_fast:
         return [check]
     # From one recording no payload is weighed.

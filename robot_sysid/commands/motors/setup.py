@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Optional
 
 import numpy as np
 
@@ -37,24 +38,24 @@ from robot_sysid.damiao.protocol import (
     status_text,
 )
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
-from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    given_values,
-    option,
-    record_from,
-)
+from robot_sysid.records.option_fields import OptionRecord, given_values, option
+
+STORING_TIME = 0.05
+"""Time that a motor is left alone to write its flash memory [s]: longer than it takes (a
+judgement)."""
 
 
 @dataclass(frozen=True)
 class SetupOptions(OptionRecord):
     """Changes of one motor by ``motors setup``; without any, the motors are listed."""
 
-    motor: int | None = option(None, "CAN id of the motor to change", "ID")
-    new_id: int | None = option(None, "new CAN id", "ID")
-    new_master_id: int | None = option(None, "new id it answers on", "ID")
+    motor: Optional[int] = option(None, "CAN id of the motor to change", "ID")
+    new_id: Optional[int] = option(None, "new CAN id", "ID")
+    new_master_id: Optional[int] = option(None, "new id it answers on", "ID")
     mit: bool = option(False, "set the control mode to MIT")
-    watchdog: float | None = option(None, "set its watchdog, 0 for none", "S [s] >= 0")
+    watchdog: Optional[float] = option(
+        None, "set its watchdog, 0 for none", "S [s] >= 0"
+    )
     clear_error: bool = option(False, "clear its error, once you know its cause")
     store: bool = option(False, "keep the changes when the power goes off")
 
@@ -63,7 +64,7 @@ class SetupOptions(OptionRecord):
 class MonitorOptions(OptionRecord):
     """Options of ``motors monitor``, which goes on until Ctrl-C without ``lifetime``."""
 
-    lifetime: float | None = option(
+    lifetime: Optional[float] = option(
         None, "end after this time", "S [s] > 0", flag="--for", default_text="Ctrl-C"
     )
 
@@ -79,18 +80,17 @@ def list_motors(session: Session, link: GuardedLink) -> Mapping[int, InspectedMo
     return motors
 
 
-def setup(session: Session) -> int:
+def setup(session: Session, options: SetupOptions) -> int:
     """List the motors on a bus, change one of them if the options say so; return the exit code 0.
 
     Errors are those of ``change_motor``, ``list_motors`` and ``_motor_to_change``, and InputError
     for a change without --motor.
     """
-    options = record_from(SetupOptions, session.values)
     changes = given_values(options).keys() - {"motor"}
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     # A model that cannot be read is refused before a motor is changed.
-    session.require_model_for(*vars(ModelOptions()))
+    session.options.require_model()
     robot = session.robot
     with session.open_guarded(is_motion) as link:
         motors = list_motors(session, link)
@@ -168,8 +168,7 @@ def change_motor(
     if options.store:
         require_disabled()
         link.send(register_frame(STORE, ids[Register.ESC_ID], register=1))
-        # Longer than a motor takes to write its flash memory (a judgement).
-        link.clock.sleep_until(link.clock.now() + 0.05)
+        link.clock.sleep_until(link.clock.now() + STORING_TIME)
         yield f"{motor.name} keeps its values when the power goes off"
 
 
@@ -201,12 +200,11 @@ def _motor_to_change(
     return motor
 
 
-def monitor(session: Session) -> int:
+def monitor(session: Session, options: MonitorOptions) -> int:
     """Print the motors' states at every interval, without enabling them; return the exit code 0.
 
     It ends with Ctrl-C or after the lifetime of the options. SysidError where no motor answers.
     """
-    options = record_from(MonitorOptions, session.values)
     with session.open_guarded(is_motion) as link:
         client = RegisterClient(link)
         motors = list_motors(session, link).values()

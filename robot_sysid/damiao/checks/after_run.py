@@ -18,17 +18,17 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from robot_sysid.damiao.settings import Plan, slowed_in_a_cycle
 from robot_sysid.errors import SysidError, error_text
-from robot_sysid.model import OF_LOG
+from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import temporary_folder
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import given_values
 
 # Parts of a motor's law, in the order of the regression.
 _PARTS = "feed-forward torque", "stiffness kp", "damping kd"
@@ -92,14 +92,15 @@ def recorded_plan(plan: Plan) -> Iterator[Plan]:
         yield replace(plan, recording=recording)
 
 
-def judge_run(plan: Plan, values: Mapping[str, Any]) -> RunFindings:
+def judge_run(plan: Plan, model: Path | None, options: ModelOptions) -> RunFindings:
     """Return what the recording of a run that went to its end says of the arm.
 
     It raises nothing: an error of judging is a line.
 
     Args:
         plan: what was played, with the recording.
-        values: value of each option of the run, by its key; with a model the arm is compared.
+        model: file with which the arm is compared; None for none.
+        options: which arm of the model it is.
     """
     path = plan.recording.record
     if path is None:
@@ -112,8 +113,8 @@ def judge_run(plan: Plan, values: Mapping[str, Any]) -> RunFindings:
             # What the signals say of the links is as wrong as they are.
             remedy = "look after the motors' settings and encoders"
             return RunFindings(tuple(lines), True, remedy)
-        if values.get("model") is not None:
-            return _beside_model(path, values)
+        if model is not None:
+            return _beside_model(path, model, options)
     except SysidError as error:
         return RunFindings((f"the recording does not show what the arm is: {error}",))
     except Exception as error:
@@ -125,16 +126,15 @@ def judge_run(plan: Plan, values: Mapping[str, Any]) -> RunFindings:
     return RunFindings()
 
 
-def _beside_model(path: Path, values: Mapping[str, Any]) -> RunFindings:
+def _beside_model(path: Path, model: Path, options: ModelOptions) -> RunFindings:
     """Return how the arm of a recording differs from the model; SysidError where nothing shows."""
     # Imported here so that a run does not wait for it.
     from robot_sysid.config import IdentifyConfig
     from robot_sysid.pipeline.comparison import check_log
 
-    of_model = {key: values[key] for key in OF_LOG if values.get(key) is not None}
-    config = IdentifyConfig.of(
-        path=Path(values["model"]), measurements=(path,), **of_model
-    )
+    given = given_values(options)
+    of_model = {key: given[key] for key in OF_LOG if key in given}
+    config = IdentifyConfig.of(path=model, measurements=(path,), **of_model)
     check = check_log(config, (), Progress())
     if not check.has_changed:
         return RunFindings(check.notes)
