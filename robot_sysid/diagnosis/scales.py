@@ -70,9 +70,10 @@ ROUNDS = 8
 FOUND = 0.02
 """Relative change of a scale below which it has been found."""
 OWN_PRIOR = 0.7
-"""Prior of a joint's scale in a round, over the common one: by so much it may change in one."""
+"""Prior of the logarithm of a joint's scale over the common one: wide enough for per cent of rated
+torque, which differ by a factor of ten. What no torque shows stays at the common one."""
 COMMON_PRIOR = 3.0
-"""Prior of the common scale in a round: it may be any."""
+"""Prior of the logarithm of the common scale, from the ratio of torques on: it may be any."""
 STEP = (0.2, 5.0)
 """Least and largest factor by which a scale changes in one round."""
 SURE_SCALE = 0.4
@@ -141,16 +142,26 @@ class TorqueScales:
         known = np.log(np.abs(self.values[self.are_sure]))
         return bool(np.ptp(known) >= np.log(COMMON))
 
+    @property
+    def own_errors(self) -> Array:
+        """Standard errors (S,) of the S sure ones' logarithms over their mean."""
+        covariance = self.covariance[np.ix_(self.are_sure, self.are_sure)]
+        apart = np.eye(len(covariance)) - 1.0 / len(covariance)
+        return np.sqrt(np.diag(apart @ covariance @ apart))
+
     @cached_property
     def common(self) -> tuple[float, float]:
-        """(Scale of all joints, its relative error): (1, infinite) where none is identified."""
-        sure = self.are_sure
-        if not np.any(sure):
+        """(Scale of all joints, its relative error): (1, infinite) where links load none.
+
+        It may be clear where no joint's own is: a factor of a thousand is, to within one of two.
+        """
+        known = self.are_sure if np.any(self.are_sure) else self.is_loaded
+        if not np.any(known):
             return 1.0, np.inf
-        weights = self.errors[sure] ** -2.0
+        weights = self.errors[known] ** -2.0
         weights = weights / np.sum(weights)
-        mean = float(weights @ np.log(np.abs(self.values[sure])))
-        variance = float(weights @ self.covariance[np.ix_(sure, sure)] @ weights)
+        mean = float(weights @ np.log(np.abs(self.values[known])))
+        variance = float(weights @ self.covariance[np.ix_(known, known)] @ weights)
         return float(np.exp(mean)), float(np.hypot(np.sqrt(variance), self.coarse))
 
     @property
@@ -183,29 +194,34 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     recordings, every = part_of_rows(fitted, ROWS)
     correlation = np.maximum(fitted.correlation / every, 1.0)
     question = replace(fitted.question, link_scales=EXPECTED)
-    start = arm.start()
-    sums = arm.sums(recordings, start)
+    point = arm.start()
     count = len(arm.joints)
     spread = OWN_PRIOR**2 * np.eye(count) + COMMON_PRIOR**2 * np.ones((count, count))
-    prior = Prior(np.zeros(count), np.asarray(np.linalg.cholesky(spread)))
+    factor = np.asarray(np.linalg.cholesky(spread))
     torque, share, is_loaded = model_torque(fitted)
     # Whatever the scales are, the ratio of torques is near them.
     scale = fitted.sums.rms_torque / torque
-    scale[~is_loaded] = np.median(scale[is_loaded])
+    typical = np.median(scale[is_loaded])
+    scale[~is_loaded] = typical
     opposes = is_loaded & (share * torque < -OPPOSING * fitted.sums.rms_torque)
     scale[opposes & is_foreign(fitted)] *= -1.0
     for _ in range(ROUNDS):
+        # A scale multiplies the links as they are found: with the model's, a last link that no
+        # other joint shows would give way to its joint's scale, round after round.
+        sums = arm.sums(recordings, point)
         scaled = sums.with_torque_times(1.0 / scale)
+        prior = Prior(-np.log(np.abs(scale) / typical), factor)
         terms = [
             replace(term, prior=prior) if term.cause == SCALES else term
             for term in arm_question(arm, question, scaled.rms_torque)
         ]
         scaled, terms = with_effects(scaled, terms, effects)
-        problem = Problem(arm, recordings, start, scaled, question)
+        problem = Problem(arm, recordings, point, scaled, question)
         after = problem.fit(terms, correlation=correlation, possible=False)
         at = after.at(arm.terms[SCALES].names)
         change = np.clip(1.0 + after.free[at], *STEP)
         scale = scale * change
+        point = after.next_point()
         if np.max(np.abs(np.log(change))) < FOUND:
             break
     after = replace(after, left_out=LeftOut.EACH)
@@ -242,7 +258,7 @@ def own_corrections(
     values = scales.known_values
     after = refit(fitted, torque_reading(fitted.arm, 1.0 / values))
     # Loss for scales that fit the data instead of being one: the prior's volume over that left.
-    penalty = np.sum(np.log(SPREAD / scales.errors[scales.are_sure]))
+    penalty = np.sum(np.log(SPREAD / scales.own_errors))
     sure = np.flatnonzero(scales.are_sure)
     finding = own_finding(fitted, values, sure, evidence)
     gain = gain_between(fitted, after, 1.0 / np.abs(values)) - penalty
