@@ -33,8 +33,8 @@ from robot_sysid.model.bodies import body_theta, find_flange
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.records.quantities import FILE, BodyEstimate, Quantity
-from robot_sysid.results.record import ModelTarget, Payload
+from robot_sysid.records.quantities import FILE, BodyEstimate, Quantity, body_quantities
+from robot_sysid.results.record import PAYLOAD, ModelTarget, Payload
 from robot_sysid.results.verdicts import Verdict
 from robot_sysid.results.written_model import write_model
 
@@ -129,6 +129,12 @@ def result_of(robot, theta=None, **changes):
         thetas[-1] = theta
     link = BodyEstimate(thetas[-1], robot.body_name)
     changes = {"verdict": Verdict.OK, "thetas": thetas, **changes}
+    if changes.get("payload") is not None:
+        payload = replace(changes["payload"], name=PAYLOAD)
+        total = replace(link, name=f"{robot.body_name} with payload")
+        bodies = (payload, link, total)
+        rows = [row for body in bodies for row in body_quantities(body)]
+        changes["quantities"] = (*rows, *changes.get("quantities", ()))
     return made.found(robot=robot, total=link, **changes)
 
 
