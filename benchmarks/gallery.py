@@ -37,7 +37,9 @@ def torques() -> str:
     """Return the report's figure of the joint that changed most, as an SVG file."""
     traces = load_run(Path("found")).traces
     with drawing_style():
-        text = figures.torque_figure(traces, figures.most_changed(traces)).svg
+        text = figures.torque_figure(
+            traces, figures.joint_of_largest_change(traces)
+        ).svg
     for name, colour in COLOURS.items():
         text = text.replace(f"var(--{name})", colour)
     names = (

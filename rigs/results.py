@@ -35,8 +35,6 @@ from robot_sysid.records.quantities import (
     body_quantities,
 )
 from robot_sysid.results.record import (
-    LINK,
-    PAYLOAD,
     Elsewhere,
     ErrorPart,
     Identification,
@@ -111,7 +109,6 @@ def found(result=ESTIMATE, **changes):
     for joint in JOINTS:
         rows += joint_rows(result, joint)
     defaults = Identification(
-        question=LINK,
         robot=ARM,
         quality=result.quality,
         standard_errors=dict(zip(result.names, result.standard_errors.tolist())),
@@ -228,7 +225,7 @@ def payload(own=None, torque_scale=(), **changes):
     for joint, scale in torque_scale:
         rows.append(Quantity("torque_scale", joint, "", 1.0, scale, 0.004))
     changes = {"verdict": Verdict.OK, "quantities": tuple(rows), **changes}
-    return found(question=PAYLOAD, payload=payload_record, total=total, **changes)
+    return found(payload=payload_record, total=total, **changes)
 
 
 def elsewhere(after=0.03, of_log=0.025, **changes):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
@@ -19,58 +19,82 @@ _WEIGHED = (
 )
 SAME_LOG = "log is fine"
 """State after which the command is about the log that was read."""
-STEPS: Mapping[str, tuple[str, str]] = {
-    "self-test passed": (
+
+
+class Step(NamedTuple):
+    """What to do after a command. Names in braces stand for what ``step_after`` is given for them.
+
+    Attributes:
+        sentence: what to do, and what for.
+        command: words of the command that does it, behind the program's name.
+        reads_same_log: whether it is about the log that was read, so that options of that hold.
+        starts_motion: whether it plans or plays a motion, which may start at a keyframe.
+    """
+
+    sentence: str
+    command: str
+    reads_same_log: bool = False
+    starts_motion: bool = False
+
+
+STEPS: Mapping[str, Step] = {
+    "self-test passed": Step(
         "Next, plan a motion for the arm, to record it",
         "plan {model} {options} --output-dir {folder}/planned",
+        starts_motion=True,
     ),
-    "motion planned": (
+    "motion planned": Step(
         "Next, play it, record it as {log}, and identify the arm",
         "identify {model} {log} {options} --output-dir {folder}",
     ),
-    "motion planned for payload": (
+    "motion planned for payload": Step(
         "Next, play it without what is bolted on and record it as {folder}/empty.csv, then twice "
         "with it as {folder}/loaded.csv and {folder}/loaded_again.csv, once more without it as "
         "{folder}/empty_again.csv, and weigh the difference",
         _WEIGHED,
     ),
-    "motion planned for motors": (
+    "motion planned for motors": Step(
         "Next, rehearse the motion on simulated motors",
         "motors simulate {trajectory} --model {model} {options} --record {folder}/rehearsed.csv",
+        starts_motion=True,
     ),
-    SAME_LOG: ("Next, identify the arm", "identify {model} {log} {options}"),
-    "motion recorded": (
+    SAME_LOG: Step(
+        "Next, identify the arm",
+        "identify {model} {log} {options}",
+        reads_same_log=True,
+    ),
+    "motion recorded": Step(
         "Next, identify the arm",
         "identify {model} {log} {options} --output-dir {folder}",
     ),
-    "torque scales unknown": (
+    "torque scales unknown": Step(
         "Next, compare with a known mass",
         "payload {model} --empty {log} --loaded {weight} --known-mass 1 {options} "
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
-    "further motion": (
+    "further motion": Step(
         "If {now} on other motions is too much, plan a second motion: with both logs about "
         "{expected} is expected there",
         "plan {model} {options} --output-dir {folder}/planned",
+        starts_motion=True,
     ),
-    "further motion recorded": (
+    "further motion recorded": Step(
         "Record it as {folder}/planned/log.csv, and identify the arm from both logs",
         "identify {model} {log} {folder}/planned/log.csv {options} --output-dir {folder}/both",
     ),
-    "part bolted on": (
+    "part bolted on": Step(
         "Next, if what is bolted on can be taken off, record {folder}/empty.csv without it and "
         "weigh it by difference: one log shows its mass times its distance far better than its "
         "mass",
         "payload {model} --empty {folder}/empty.csv --loaded {log} {options} --output-dir "
         "{folder}/weighed",
     ),
-    "torque scales known": (
+    "torque scales known": Step(
         "Next, identify the arm with these torque scales, as in every later run",
         "identify {model} {log} {options} --torque-scale {scales}",
     ),
 }
-"""State after a command to a sentence on what to do next and the words of the command that does it,
-behind the program's name. A name in braces stands for what ``step_after`` is given for it."""
+"""State after a command to what to do next."""
 
 
 def step_after(
@@ -86,13 +110,12 @@ def step_after(
         further: more arguments of the command.
         words: what fills the other names in braces, a word, a path, or several of them.
     """
-    sentence, template = STEPS[state]
-    parts = template.split()
+    step = STEPS[state]
+    parts = step.command.split()
     stated = {*parts, *further}
-    if parts[0] in ("identify", "payload"):
-        # Only a motion starts at a keyframe.
+    if not step.starts_motion:
         stated.add("--keyframe")
-    if state != SAME_LOG:
+    if not step.reads_same_log:
         # They hold for one log.
         stated.update(("--episode", "--accept"))
     every = options_of_all(ModelOptions, LogOptions)
@@ -107,7 +130,7 @@ def step_after(
             continue
         filled = part.format(**words)
         command.append(str(Path(filled)) if "{folder}" in part else filled)
-    return NextStep(sentence.format(**words), tuple(command))
+    return NextStep(step.sentence.format(**words), tuple(command))
 
 
 def step_with_motion(

@@ -45,7 +45,7 @@ from robot_sysid.results.notes import (
     result_notes,
     wrong_links,
 )
-from robot_sysid.results.record import LINK, PAYLOAD, Identification, ModelFile, Payload
+from robot_sysid.results.record import Identification, ModelFile, Payload
 from robot_sysid.results.rules import OF_ARM, ArmEvidence
 from robot_sysid.results.traces import traces_of
 from robot_sysid.results.verdicts import judge
@@ -166,7 +166,6 @@ def result_of(
             sentences += curve_notes(file, curves)
     sentences += result_notes(fitted, file_fit)
     return Identification(
-        question=LINK if payload is None else PAYLOAD,
         robot=robot,
         quality=quality_of(fitted),
         data=data,

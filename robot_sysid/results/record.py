@@ -192,7 +192,6 @@ class Identification:
     and to print it is the work of layers that read this record, so that it has no such methods.
 
     Attributes:
-        question: ``LINK`` or ``PAYLOAD``.
         robot: the arm, as its model describes it.
         quality: what the equations determine, and how well they are fitted.
         torques: "chain" or "terminal": the joints whose torques were fitted.
@@ -216,7 +215,7 @@ class Identification:
             written into the original.
         curves: friction of the joints and motors whose friction bends.
         tops: joint or motor to the speed at which friction that bends is flat [rad/s or m/s].
-        payload: None of the question ``LINK``.
+        payload: None of an arm.
         validation: errors of the fit in predicting torques: of held-out stretches of its logs
             first, then of other logs.
         friction_model: name of the friction model, or "per joint".
@@ -227,7 +226,6 @@ class Identification:
         traces: computes the measured and predicted torques that a report draws.
     """
 
-    question: str
     robot: records.RobotModel
     quality: records.FitQuality
     torques: str
@@ -248,6 +246,11 @@ class Identification:
     link_scales: Mapping[str, float] = field(default_factory=dict)
     checkpoints: Motion | None = None
     traces: Callable[[], Traces] | None = None
+
+    @property
+    def question(self) -> str:
+        """``LINK`` or ``PAYLOAD``: what was asked for."""
+        return LINK if self.payload is None else PAYLOAD
 
     @property
     def verdict(self) -> Verdict:

@@ -16,7 +16,7 @@ from robot_sysid.records.quantities import (
     body_quantities,
     without_rounding,
 )
-from robot_sysid.results.record import LINK, Identification
+from robot_sysid.results.record import Identification
 from robot_sysid.results.verdicts import Rule, Verdict, condition_alone, judge
 
 WELL_KNOWN_MASS = 0.5
@@ -101,7 +101,6 @@ def self_test_result(
     verdicts = judge(OF_SELF_TEST, SelfTestEvidence(body.mass, mass_error, quality))
     return Identification(
         robot=robot,
-        question=LINK,
         quality=quality,
         quantities=tuple(rows),
         remarks=(*verdicts, *says(robot.notes)),

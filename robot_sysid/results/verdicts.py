@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum, auto
-from typing import Any, Generic, NamedTuple, TypeVar
+from enum import Enum
+from typing import Generic, NamedTuple, TypeVar
 
 from robot_sysid.records.messages import Level, Remark
 from robot_sysid.wording import with_option_names
@@ -20,27 +20,20 @@ from robot_sysid.wording import with_option_names
 class Verdict(str, Enum):
     """What decides on the use of a result; its string is its name, as in params.json."""
 
-    @staticmethod
-    def _generate_next_value_(
-        name: str, start: int, count: int, last: list[Any]
-    ) -> str:
-        """Return the name of a member, which is its string."""
-        return name
-
-    SWAPPED = auto()
-    DISAGREE = auto()
-    NOT_SEEN = auto()
-    WRONG_WEIGHT = auto()
-    UNEXPLAINED = auto()
-    IMPLAUSIBLE = auto()
-    TOO_WEAK = auto()
-    NO_BETTER = auto()
-    TORQUES_ONLY = auto()
-    INERTIA_NOT_KNOWN = auto()
-    PARTLY_FROM_MODEL = auto()
-    BETTER = auto()
-    AS_GOOD = auto()
-    OK = auto()
+    SWAPPED = "SWAPPED"
+    DISAGREE = "DISAGREE"
+    NOT_SEEN = "NOT_SEEN"
+    WRONG_WEIGHT = "WRONG_WEIGHT"
+    UNEXPLAINED = "UNEXPLAINED"
+    IMPLAUSIBLE = "IMPLAUSIBLE"
+    TOO_WEAK = "TOO_WEAK"
+    NO_BETTER = "NO_BETTER"
+    TORQUES_ONLY = "TORQUES_ONLY"
+    INERTIA_NOT_KNOWN = "INERTIA_NOT_KNOWN"
+    PARTLY_FROM_MODEL = "PARTLY_FROM_MODEL"
+    BETTER = "BETTER"
+    AS_GOOD = "AS_GOOD"
+    OK = "OK"
 
     __str__ = str.__str__
 

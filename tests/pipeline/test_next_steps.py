@@ -32,7 +32,7 @@ def test_the_command_of_every_state_is_taken(state):
     if name == "motors":
         name = f"motors {words.pop(0)}"
     assert COMMANDS[name].parse(words)[0]["joint"] == "j6"
-    assert ("b.csv" in words) == ("{log}" in STEPS[state][1])
+    assert ("b.csv" in words) == ("{log}" in STEPS[state].command)
 
 
 def test_the_last_lines_name_the_files_that_were_written():

@@ -11,7 +11,6 @@ from markupsafe import escape
 from rigs import results as made
 from rigs.reports import payload_result, saved
 from robot_sysid.errors import InputError
-from robot_sysid.report import studio
 from robot_sysid.report.drawing import COLOURS
 from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run
@@ -98,9 +97,8 @@ def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(
 
 
 @pytest.fixture(autouse=True)
-def no_pictures(monkeypatch):
+def no_pictures(page, no_renderer):
     """Let pages beside the one of the session have no pictures, which take long to draw."""
-    monkeypatch.setattr(studio, "renderer_library", lambda: None)
 
 
 def page_of(folder):

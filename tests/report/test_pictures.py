@@ -20,8 +20,7 @@ def robot():
     return arms.robot_of(arms.THREE)
 
 
-def test_no_renderer_means_no_pictures_but_a_page(monkeypatch, link_run):
-    monkeypatch.setattr(studio, "renderer_library", lambda: None)
+def test_no_renderer_means_no_pictures_but_a_page(no_renderer, link_run):
     figures, reason = pictures(load_run(link_run))
     assert figures == [] and "neither EGL nor OSMesa" in reason
 

@@ -269,5 +269,6 @@ def test_a_result_is_as_bad_as_the_worst_that_holds_and_the_first_of_these_is_na
 
 
 def test_a_verdict_is_written_as_its_name():
+    assert [str(each) for each in Verdict] == [each.name for each in Verdict]
     assert strict_json(Verdict.NO_BETTER.remark("so"))["about"] == "NO_BETTER"
     assert pickle.loads(pickle.dumps(Verdict.OK)) is Verdict.OK

@@ -33,9 +33,9 @@ from robot_sysid.model.bodies import body_theta, find_flange
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.results import record
-from robot_sysid.results import written_model as model_module
-from robot_sysid.results.record import ModelTarget
+from robot_sysid.records.quantities import FILE, BodyEstimate, Quantity, body_quantities
+from robot_sysid.results.record import PAYLOAD, ModelTarget, Payload
+from robot_sysid.results.verdicts import Verdict
 from robot_sysid.results.written_model import write_model
 
 MJCF = ARM.replace(
@@ -82,11 +82,21 @@ class WrittenModel(NamedTuple):
     notes: tuple[str, ...]
 
 
-def write_and_compile(robot, result, folder=None, as_body=None, file_kind=None):
-    """Write the model of a result, by default into the folder ``out`` beside the original."""
+def write_and_compile(
+    robot,
+    result,
+    folder=None,
+    as_body=None,
+    file_kind=None,
+    through=lambda files: files,
+):
+    """Write the model of a result, by default into the folder ``out`` beside the original.
+
+    ``through`` returns what receives drafts in the place of the files.
+    """
     path = (folder or robot.path.parent / "out") / f"updated{robot.path.suffix}"
     with atomic_files() as files:
-        target = ModelTarget(files, path, checkpoints(robot))
+        target = ModelTarget(through(files), path, checkpoints(robot))
         kind = file_kind or result.model_kind
         notes = write_model(result, target, as_body, kind)
     return WrittenModel(path, compile_model(path).mj_model, notes)
@@ -100,11 +110,7 @@ def file_of(joints, gravity=None, motors=()):
     rows = []
     for owner, numbers in joints.items():
         for attribute, value in numbers.items():
-            rows.append(
-                record.Quantity(
-                    FIELDS[attribute], owner, "", None, value, 0, record.FILE
-                )
-            )
+            rows.append(Quantity(FIELDS[attribute], owner, "", None, value, 0, FILE))
     return {"quantities": rows, "file": made.model_file(gravity=gravity, motors=motors)}
 
 
@@ -112,8 +118,8 @@ def payload_of(robot, theta, flange_position=None):
     """A payload with the parameters theta (10,) in the flange frame."""
     flange = find_flange(robot, flange_position)
     recordings = {"empty": ("a",), "loaded": ("b", "c")}
-    body = vars(record.BodyEstimate(theta, "load"))
-    return record.Payload(**body, flange=flange, recordings=recordings)
+    body = vars(BodyEstimate(theta, "load"))
+    return Payload(**body, flange=flange, recordings=recordings)
 
 
 def result_of(robot, theta=None, **changes):
@@ -121,8 +127,14 @@ def result_of(robot, theta=None, **changes):
     thetas = robot.thetas
     if theta is not None:
         thetas[-1] = theta
-    link = record.BodyEstimate(thetas[-1], robot.body_name)
-    changes = {"verdict": record.Verdict.OK, "thetas": thetas, **changes}
+    link = BodyEstimate(thetas[-1], robot.body_name)
+    changes = {"verdict": Verdict.OK, "thetas": thetas, **changes}
+    if changes.get("payload") is not None:
+        payload = replace(changes["payload"], name=PAYLOAD)
+        total = replace(link, name=f"{robot.body_name} with payload")
+        bodies = (payload, link, total)
+        rows = [row for body in bodies for row in body_quantities(body)]
+        changes["quantities"] = (*rows, *changes.get("quantities", ()))
     return made.found(robot=robot, total=link, **changes)
 
 
@@ -374,11 +386,18 @@ def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
         write_and_compile(robot, result_of(robot, thetas=thetas))
 
 
-def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypatch):
+class UnchangedFiles:
+    """Files that keep the original model's text whatever is written."""
+
+    def __init__(self, files):
+        self.withdraw = files.withdraw
+        self.write = lambda path, _: files.write(path, MJCF.encode())
+
+
+def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots):
     robot = robots["xml"]
     rng = np.random.default_rng(0)
     folder = robot.path.parent / "withdrawn"
-    monkeypatch.setattr(model_module, "changed_model_text", lambda *_: MJCF.encode())
     for changes in (
         {"thetas": new_links(robot, rng)},
         file_of({}, TURNED),
@@ -386,7 +405,8 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
     ):
         name = "load" if "payload" in changes else None
         with pytest.raises(ExportError):
-            write_and_compile(robot, result_of(robot, **changes), folder, as_body=name)
+            result = result_of(robot, **changes)
+            write_and_compile(robot, result, folder, name, through=UnchangedFiles)
         assert not folder.exists()
 
 
