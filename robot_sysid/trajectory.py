@@ -142,11 +142,13 @@ def smooth_step(x: Array) -> Series:
     return w, 140.0 * bell**3, 420.0 * bell**2 * (1.0 - 2.0 * x)
 
 
-def sample_times(duration: float, sample_rate: float) -> Iterator[Array]:
-    """Yield the sample times k / rate [s] from 0 up to the duration, in chunks of ``CHUNK``."""
+def sample_times(
+    duration: float, sample_rate: float, chunk: int = CHUNK
+) -> Iterator[Array]:
+    """Yield the sample times k / rate [s] from 0 up to the duration, ``chunk`` at a time."""
     count = sample_count(duration, sample_rate)
-    for first in range(0, count, CHUNK):
-        time = np.arange(first, min(first + CHUNK, count)) / sample_rate
+    for first in range(0, count, chunk):
+        time = np.arange(first, min(first + chunk, count)) / sample_rate
         yield np.minimum(time, duration)
 
 

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
@@ -11,7 +10,6 @@ from numpy.testing import assert_array_equal
 
 from rigs import arms
 from rigs.arms import SEEDS, robot_of
-from robot_sysid import trajectory
 from robot_sysid.records import Limits
 from robot_sysid.trajectory import (
     generate_excitation_trajectory,
@@ -87,9 +85,7 @@ def test_frequencies_are_in_the_band_and_distinct(seed):
 
 @given(st.floats(0.01, 100.0), st.floats(1.0, 1000.0), st.integers(1, 500))
 def test_sample_times_do_not_depend_on_the_chunk(duration, rate, chunk):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trajectory, "CHUNK", chunk)
-        times = np.concatenate(list(sample_times(duration, rate)))
+    times = np.concatenate(list(sample_times(duration, rate, chunk)))
     assert len(times) == sample_count(duration, rate)
     assert_array_equal(times, np.concatenate(list(sample_times(duration, rate))))
     assert times[0] == 0.0

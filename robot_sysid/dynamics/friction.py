@@ -77,7 +77,7 @@ def _term_of(name: str, owner: str, is_slide: bool) -> Parameter:
     return TERMS[name].at(owner, is_slide)
 
 
-def _fading(name: str, speed: float) -> FrictionTerm:
+def _fading_term(name: str, speed: float) -> FrictionTerm:
     """Return friction that fades with speed, of which 1/e is left at a speed [rad/s].
 
     A sum of several approximates any friction that falls with speed.
@@ -175,9 +175,9 @@ _OTHERS = (
         torque=lambda sign, qd, qdd, load: sign * np.sqrt(np.abs(qd)),
         is_dry=True,
     ),
-    _fading("fading_fast", 0.04),
-    _fading("fading", 0.13),
-    _fading("fading_slow", 0.4),
+    _fading_term("fading_fast", 0.04),
+    _fading_term("fading", 0.13),
+    _fading_term("fading_slow", 0.4),
     # Breakaway above Coulomb friction.
     FrictionTerm(
         "stribeck",

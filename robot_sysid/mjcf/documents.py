@@ -107,7 +107,7 @@ class ModelDocument:
 
     def text(self) -> bytes:
         """Return the tree as UTF-8 text, with a declaration and the line ends of the main file."""
-        source = _decoded(self.contents[self.path], self.path)
+        source = _file_text(self.contents[self.path], self.path)
         text = etree.tostring(
             self.root.getroottree(),
             encoding="UTF-8",
@@ -222,7 +222,7 @@ def _read_bytes(path: Path) -> bytes:
         ) from None
 
 
-def _decoded(raw: bytes, path: Path) -> str:
+def _file_text(raw: bytes, path: Path) -> str:
     """Return a file's bytes as text: as UTF-8, or else as Latin-1, as old programs write them.
 
     ModelError where there are none.
@@ -242,7 +242,7 @@ def _parse(raw: bytes, path: Path) -> Node:
     MuJoCo accepts ``--`` inside a comment and prefixes without a namespace, which strict parsers
     refuse.
     """
-    text = _decoded(raw, path)
+    text = _file_text(raw, path)
     if "<!ENTITY" in text.partition("<!DOCTYPE")[2]:
         remedy = "which can hide an attack; remove its <!DOCTYPE ...>"
         raise ModelError(f"{path} declares XML entities, {remedy}")

@@ -58,7 +58,7 @@ def with_references(
     data = data_at_pose(mj_model, qpos)
     steps = [*(link.translation for link in links[1:]), np.zeros(3)]
     lengths = np.linalg.norm(steps, axis=1).tolist()
-    copied = _copied(links)
+    copied = _copied_kinds(links)
     result = []
     for link, step, length in zip(links, steps, lengths):
         size = max(length, LEAST_SIZE_SHARE * sum(lengths), LEAST_SIZE)
@@ -88,7 +88,7 @@ def with_references(
     return tuple(result)
 
 
-def _copied(links: Sequence[ArmLink]) -> dict[str, set[str]]:
+def _copied_kinds(links: Sequence[ArmLink]) -> dict[str, set[str]]:
     """Return body name to what of it was copied from link to link, mass or inertia.
 
     Parts of one kind have one inertia and one mass. An inertia that links of different masses have,

@@ -57,6 +57,11 @@ class NearPlanes(NamedTuple):
     point: Array
 
 
+_NOWHERE = NearPlanes(
+    np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3))
+)
+
+
 class Planes:
     """Planes, and bodies whose distances from them are asked.
 
@@ -106,6 +111,9 @@ class Planes:
         self._poses[:, :3] = data.xpos
         self._poses[:, 3:] = data.xquat
         update_contacts(self._model, self._data)
+        # Mostly there is nothing: to ask MuJoCo for its arrays takes as long as to find that.
+        if not self._data.ncon:
+            return _NOWHERE
         contact = self._data.contact
         geoms = np.array(contact.geom)
         bodies = self._owners[geoms[:, 1]]

@@ -100,7 +100,7 @@ def limit_lines(
                 f"{1e3 * closest.distance:.0f} mm apart"
             )
         yield f"Keeps all limits for {plan.duration:.1f} s{nearness}"
-    for sentence in problem.unlimited:
+    for sentence in problem.missing_limits:
         yield sentence[0].upper() + sentence[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess_text(excess)}"

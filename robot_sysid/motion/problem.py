@@ -149,7 +149,7 @@ class ExcitationProblem:
         return self.torque(motion_of_samples(q, zero + qd, zero))
 
     @property
-    def unlimited(self) -> Iterator[str]:
+    def missing_limits(self) -> Iterator[str]:
         """Sentences on what nothing limits: contacts of links, torques of joints."""
         if self.unguarded:
             yield (
@@ -211,7 +211,7 @@ def build_problem(
     moving = subtree(model, model.dof_bodyid[robot.dof_index[0]])
     user = options.limits(robot.is_slide, moving, subtree(model, robot.body_id))
     stated = Limits.of(robot.limits, user, motors or Limits())
-    limits, assumed = _usable(robot, stated, user, shakes_gently)
+    limits, assumed = _usable_limits(robot, stated, user, shakes_gently)
     # A motion that starts outside what the search uses would break its limits, however small.
     span = LIMIT_SHARE * limits.span
     start_pose = np.clip(robot.reference, limits.center - span, limits.center + span)
@@ -248,7 +248,7 @@ def build_problem(
     )
 
 
-def _usable(
+def _usable_limits(
     robot: RobotModel, stated: Limits, user: Limits, shakes_gently: bool
 ) -> tuple[Limits, NDArray[np.bool_]]:
     """Return what a motion may use of stated limits: all but a margin, with usual limits where none

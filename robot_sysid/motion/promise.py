@@ -140,7 +140,9 @@ class Knowledge:
         """Return the covariance (p, p) of the errors, after ``further`` (p, p) rows are added."""
         # What the jackknife raises is the error of data, not of what nothing is known of.
         raised = self.raised[:, None] * self.raised
-        normal = _padded((self.precision + further) / raised + np.diag(self.wide))
+        normal = _with_zero_torque(
+            (self.precision + further) / raised + np.diag(self.wide)
+        )
         is_free = np.diag(self.precision) + self.wide > 0.0
         _, inverse = solve(normal, self.values, is_free)
         return usual_errors.ERRORS_AS_THEY_ARE**2 * (inverse + self.of_scales)
@@ -235,11 +237,11 @@ def _drawn_values(
     mean = np.zeros(len(values))
     mean[last] = values[last]
     normal = precision + np.diag(wide)
-    _, inverse = solve(_padded(normal), values, np.diag(normal) > 0.0)
+    _, inverse = solve(_with_zero_torque(normal), values, np.diag(normal) > 0.0)
     return values + inverse @ (wide * (mean - values) + loosened * values)
 
 
-def _padded(normal: Array) -> Array:
+def _with_zero_torque(normal: Array) -> Array:
     """Return products (p, p) of columns as (p + 1, p + 1), those with a torque of zero beside."""
     return np.pad(normal, (0, 1))
 
@@ -598,7 +600,9 @@ class Promise:
         of_file = file.at([name for name in file.names if name in names])
         at = sums.at([file.names[k] for k in of_file])
         values = np.array([file.by_name.get(name, 0.0) for name in names])
-        normal = _padded(file.normal[of_file[:, None], of_file] + rows[at[:, None], at])
+        normal = _with_zero_torque(
+            file.normal[of_file[:, None], of_file] + rows[at[:, None], at]
+        )
         normal[:-1, -1] = rows[at] @ (self._known.values - values)
         moved, _ = solve(normal, np.zeros(len(at)))
         values[at] += moved

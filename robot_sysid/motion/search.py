@@ -87,8 +87,6 @@ LEAST_AMPLITUDE = 0.2
 """Spread of a random harmonic's coefficient at least, over that of the largest."""
 SEARCHING = "Searching for the best motion"
 """Label of the search's progress."""
-clock = time.monotonic
-"""Returns the machine's time [s]."""
 
 
 class Design:
@@ -320,7 +318,10 @@ def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
 
 
 def design_excitation(
-    design: Design, rng: np.random.Generator, progress: Progress
+    design: Design,
+    rng: np.random.Generator,
+    progress: Progress,
+    clock: Callable[[], float] = time.monotonic,
 ) -> SineTrajectory:
     """Search for the trajectory that makes the predicted uncertainty smallest; it keeps all limits.
 
@@ -331,6 +332,7 @@ def design_excitation(
         design: the arm, its limits and what is minimised.
         rng: source of randomness; a seed is drawn from it.
         progress: is advanced after every trajectory and iteration.
+        clock: returns the time that counts for the budget [s].
 
     Raises:
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.

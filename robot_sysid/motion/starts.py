@@ -24,7 +24,7 @@ HELD_SHARE = 0.9
 """Share of the torque limits up to which a pose is held: a tenth is left to accelerate."""
 
 
-def startable(problem: ExcitationProblem) -> ExcitationProblem:
+def with_free_start(problem: ExcitationProblem) -> ExcitationProblem:
     """Return the problem with a start where the arm touches nothing and its motors can hold it.
 
     The start is the model's pose if possible, else a pose near it, which a note then states.

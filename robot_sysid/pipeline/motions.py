@@ -78,7 +78,7 @@ def design_motion(
     progress.note(*problem.notes)
     # The lines on a plan have these, and its verdict says what to do.
     if not isinstance(config, PlanConfig):
-        progress.note(*problem.unlimited)
+        progress.note(*problem.missing_limits)
     return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
 
 
@@ -187,7 +187,7 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
     if not is_checked(config):
         return None
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
-    from robot_sysid.motion.starts import gentle_problem, startable
+    from robot_sysid.motion.starts import gentle_problem, with_free_start
 
     motors = arm_motors(config.motors, robot)
     is_new = config.trajectory.file is None
@@ -203,4 +203,4 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
     )
     if config.aim.purpose == WEIGHT:
         problem = gentle_problem(problem)
-    return startable(problem) if is_new else problem
+    return with_free_start(problem) if is_new else problem

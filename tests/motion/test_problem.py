@@ -58,10 +58,10 @@ def test_an_effort_of_zero_is_no_torque_limit_and_that_is_said(arm_file, effort)
     path = arm_file(text.replace('effort="10"', effort, 1), "arm.urdf")
     robot = load_robot_model(path)
     assert np.array_equal(robot.limits.torque, [np.inf, 10.0])
-    contacts, torques = build_problem(robot, LimitOptions()).unlimited
+    contacts, torques = build_problem(robot, LimitOptions()).missing_limits
     assert torques.startswith("no torque limit of base_arm is known: ")
     limited = build_problem(robot, LimitOptions(max_torque=(5.0,)))
-    assert [*limited.unlimited] == [contacts]
+    assert [*limited.missing_limits] == [contacts]
 
 
 def test_without_a_band_only_an_option_limits_accelerations():

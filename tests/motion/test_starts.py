@@ -41,7 +41,7 @@ def holding_share(problem, pose):
 
 def restarted(problem):
     """Return the problem with another start, and the note that says so."""
-    startable = starts.startable(problem)
+    startable = starts.with_free_start(problem)
     (note,) = set(startable.notes) - set(problem.notes)
     return startable, note
 
@@ -97,7 +97,7 @@ def test_where_no_pose_can_be_held_the_joint_is_named():
     flat = stiff.replace('quat="1 0 0 0"', 'quat=".7 0 .7 0"', 1)
     message = "at joint joint1 takes .*, more than 95 % of its torque limit of"
     with pytest.raises(InputError, match=message):
-        starts.startable(build(robot_of(flat), max_torque=0.5))
+        starts.with_free_start(build(robot_of(flat), max_torque=0.5))
 
 
 def test_the_path_to_another_start_is_checked():

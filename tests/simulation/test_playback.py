@@ -33,7 +33,7 @@ def test_rollouts_on_threads_are_single_steps_and_one_that_diverges_disturbs_no_
 ):
     robot = robot_of(SEVEN)
     threads = playback.ServoRollouts(robot)
-    monkeypatch.delattr(playback.rollout, "Rollout", raising=False)
+    monkeypatch.delattr(mujoco.rollout, "Rollout", raising=False)
     steps = playback.ServoRollouts(robot)
     starts, inputs = random_inputs(threads)
     diverging = inputs.copy()

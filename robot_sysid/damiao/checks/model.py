@@ -102,7 +102,7 @@ def contact_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
     Notes name what the model does not limit. ``problem`` has the arm of the model, its geometry and
     obstacles.
     """
-    yield from map(note, problem.unlimited)
+    yield from map(note, problem.missing_limits)
     contact = first_contact(problem, plan.trajectory)
     if contact is not None:
         time = contact.time / plan.settings.speed
