@@ -33,7 +33,7 @@ from robot_sysid.wording import option_name
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
 
 
-def _gain_check(least: float, most: float, unit: str) -> Check:
+def _range_check(least: float, most: float, unit: str) -> Check:
     """Return the check of a gain that frames can carry from ``least`` to ``most``."""
     problem = f"must be from {least:.2g} to {most:g} {unit}"
     return lambda gain: None if least <= gain <= most else problem
@@ -82,7 +82,7 @@ class PlaySettings(OptionRecord):
         (),
         "stiffness, one for all or one per joint",
         "KP [N·m/rad]",
-        check=_gain_check(0.0, KP_MAX, "N·m/rad"),
+        check=_range_check(0.0, KP_MAX, "N·m/rad"),
         **_BY_TYPE,
     )
     kd: tuple[float, ...] = option(
@@ -90,7 +90,7 @@ class PlaySettings(OptionRecord):
         "damping, one for all or one per joint",
         "KD [N·m·s/rad]",
         # With less a frame carries no damping at all, and the motor would ring.
-        check=_gain_check(KD_STEP, KD_MAX, "N·m·s/rad"),
+        check=_range_check(KD_STEP, KD_MAX, "N·m·s/rad"),
         **_BY_TYPE,
     )
     rate: Optional[float] = option(
