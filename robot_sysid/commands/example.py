@@ -10,12 +10,12 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-import robot_sysid
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
 from robot_sysid.config import OutputOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import temporary_folder
+from robot_sysid.records.installation import PACKAGE_FOLDER
 from robot_sysid.records.option_fields import (
     OptionRecord,
     option,
@@ -64,7 +64,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
         raise InputError(
             f"{folder} exists; choose another folder with --output-dir DIR"
         )
-    _copy_example(_source_folder(name), folder)
+    _copy_example(source_folder(name), folder)
     console.stage(f"Example copied to {folder}. What to do with it:")
     names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
     paths = {key: quote(str(folder / name)) for key, name in names.items()}
@@ -110,9 +110,8 @@ def _copy_example(source: Path, folder: Path) -> None:
         ) from None
 
 
-def _source_folder(name: str) -> Path:
+def source_folder(name: str, package: Path = PACKAGE_FOLDER) -> Path:
     """Return an example's folder: in the installed package, or beside it in a checkout."""
-    package = Path(robot_sysid.__file__).parent
     for parent in (package, package.parent):
         folder = parent / "examples" / name
         if (folder / "model").is_dir():

@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from rigs.places import EXAMPLE, ROOT
+from rigs.refusals import refused
 from robot_sysid.cli import main
+from robot_sysid.commands.example import source_folder
 
 
 def printed_commands(out: str) -> list[list[str]]:
@@ -46,15 +48,12 @@ def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
     assert "no unfinished file is left" in command.refused("example kinova", code=130)
 
 
-def test_nothing_that_is_there_is_overwritten(command, tmp_path, monkeypatch):
+def test_nothing_that_is_there_is_overwritten(command, tmp_path):
     (tmp_path / "kinova").mkdir()
     assert "kinova exists; choose another folder" in command.refused("example kinova")
     assert "invalid choice: 'ur5'" in command.refused("example ur5")
-    (tmp_path / "kinova").rmdir()
-    monkeypatch.setattr(
-        "robot_sysid.__file__", str(tmp_path / "lib" / "robot_sysid" / "x.py")
-    )
-    assert "is not in this installation" in command.refused("example kinova")
+    with refused("is not in this installation"):
+        source_folder("kinova", tmp_path / "lib" / "robot_sysid")
 
 
 def test_the_wheel_carries_every_file_of_the_model():
