@@ -29,7 +29,7 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     encode_mit,
 )
-from robot_sysid.damiao.references import file_holding
+from robot_sysid.damiao.safety.holding import file_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import (
