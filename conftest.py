@@ -1,4 +1,4 @@
-"""Shared by all tests: the hypothesis profile and fixtures for the arms of ``rigs.arms``."""
+"""Shared by all tests: the hypothesis profile and fixtures for arms of ``rigs.arms``."""
 
 from __future__ import annotations
 

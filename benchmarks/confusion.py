@@ -12,7 +12,7 @@ causes and durations, so that rows can be compared. Causes without a fault ("rig
 8, 15 and 60 s) show what right logs are accused of. Log and model are files, and what is judged
 are the answers of the commands ``log`` and ``identify``. Another checkout is judged by
 
-    mkdir judge && ln -s $PWD/benchmarks $PWD/tests judge/
+    mkdir judge && ln -s $PWD/benchmarks $PWD/rigs judge/
     PYTHONPATH=judge:OTHER_CHECKOUT python -P -m benchmarks.confusion MODELS_FOLDER
 
 Per cause, logs are counted by what is said of them: by findings of ``log`` of any level, motors
@@ -72,7 +72,7 @@ from benchmarks.answers import (
 from benchmarks.confusion_causes import CAUSES as USUAL_CAUSES
 from benchmarks.confusion_causes import RIGHT, Cause, Scene, draw_scene
 from benchmarks.confusion_mistakes import MISTAKES
-from benchmarks.real_arms import USUAL_ARMS
+from benchmarks.real_arms import arms_parser
 from rigs.params import motors, rows
 from rigs.wrong_arms import ARMS, DEVIATIONS
 from robot_sysid.parser import load_robot_model
@@ -501,19 +501,12 @@ def print_share(title: str, numerator: int, denominator: int) -> None:
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("models", type=Path)
-    parser.add_argument(
-        "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
-    )
+    parser = arms_parser(__doc__)
     parser.add_argument(
         "--causes", nargs="+", default=list(GROUPS), choices=[*GROUPS, *CAUSES]
     )
     parser.add_argument("--deviations", nargs="+", default=["real"], choices=DEVIATIONS)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument(
         "--duration", type=float, default=20.0, help="of wrong logs [s]"
     )

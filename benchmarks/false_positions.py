@@ -25,8 +25,9 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.motor_faults import shorten_message
+from benchmarks.run_arguments import MODELS, add_run_arguments, run_options
 from rigs.arm_faults import shift_encoder, shift_report
-from rigs.sound_runs import SOUND_ARMS, RunOptions, disturbed_run, planned_motion
+from rigs.sound_runs import SOUND_ARMS, disturbed_run, planned_motion
 
 SIZES = (0.3, 0.7, 1.57, 3.14, 6.28)
 INSTANTS = (0.8, 1.5, 2.6)
@@ -73,15 +74,9 @@ def main() -> int:
     parser.add_argument("--sizes", nargs="+", type=float, default=SIZES)
     parser.add_argument("--instants", nargs="+", type=float, default=INSTANTS)
     parser.add_argument("--joints", nargs="+", type=int, help="numbers, base is 0")
-    parser.add_argument("--model", choices=("both", "with", "without"), default="both")
-    parser.add_argument("--speed", type=float, default=1.0)
-    parser.add_argument("--rate", type=float)
-    parser.add_argument("--kp", type=float)
-    parser.add_argument("--seed", type=int, default=0)
+    add_run_arguments(parser, "both")
     parser.add_argument("--each", action="store_true", help="a line per run, too")
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
-    models = {"both": (True, False), "with": (True,), "without": (False,)}
     worst = dict.fromkeys(arguments.variants, 0.0)
     print("variant   size  given  departure, in stop [rad], seconds until torque-free")
     with tempfile.TemporaryDirectory() as name:
@@ -90,16 +85,10 @@ def main() -> int:
         joints = arguments.joints or planned.telling_joints()
         with multiprocessing.Pool(arguments.jobs) as pool:
             for variant, has_model, size in itertools.product(
-                arguments.variants, models[arguments.model], arguments.sizes
+                arguments.variants, MODELS[arguments.model], arguments.sizes
             ):
-                options = RunOptions(
-                    arm=arguments.arm,
-                    seed=arguments.seed,
-                    speed=arguments.speed,
-                    rate=arguments.rate,
-                    kp=arguments.kp,
-                    has_model=has_model,
-                    duration=DURATION,
+                options = run_options(
+                    arguments, arguments.arm, has_model, duration=DURATION
                 )
                 grid = itertools.product(joints, arguments.instants)
                 cases = [(options, variant, size, *place) for place in grid]

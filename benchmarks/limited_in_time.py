@@ -13,7 +13,6 @@ fault: of these no row should be left out.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 from collections.abc import Callable
@@ -24,6 +23,7 @@ import numpy as np
 
 import robot_sysid
 from benchmarks.confusion_causes import Scene, draw_scene
+from benchmarks.real_arms import arms_parser
 from rigs.log_files import open_log
 from rigs.wrong_arms import ARMS, resting_torque
 from robot_sysid.diagnosis.gate import judge, usable
@@ -254,11 +254,8 @@ def line_of(kind: str, besides: list[float], count: int, answers: Array) -> str:
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("models", type=Path)
-    parser.add_argument("--arms", nargs="+", default=["gen3", "ur5e", "panda"])
+    parser = arms_parser(__doc__, ("gen3", "ur5e", "panda"))
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--no-answers", action="store_true")

@@ -21,6 +21,7 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
+from benchmarks.run_arguments import MODELS, add_run_arguments, run_options
 from rigs.arm_faults import table_faults
 from rigs.sound_runs import (
     COMPLETED,
@@ -76,34 +77,21 @@ def main() -> int:
         "--only", nargs="+", help="names of faults, or their beginnings"
     )
     parser.add_argument("--list", action="store_true", help="print the names of all")
-    parser.add_argument("--model", choices=("both", "with", "without"), default="with")
-    parser.add_argument("--speed", type=float, default=1.0)
-    parser.add_argument("--rate", type=float)
-    parser.add_argument("--kp", type=float)
-    parser.add_argument("--seed", type=int, default=0)
+    add_run_arguments(parser, "with")
     parser.add_argument("--lines", type=int, default=LINES, help="how many to print")
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     if arguments.list:
         print("\n".join(fault.name for fault in table_faults(1, 5)))
         return 0
-    models = {"both": (True, False), "with": (True,), "without": (False,)}
     wanted = tuple(arguments.only or ("",))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         cases = []
         for arm, has_model in itertools.product(
-            arguments.arms, models[arguments.model]
+            arguments.arms, MODELS[arguments.model]
         ):
-            options = RunOptions(
-                arm=arm,
-                seed=arguments.seed,
-                speed=arguments.speed,
-                rate=arguments.rate,
-                kp=arguments.kp,
-                has_model=has_model,
-                duration=DURATION,
-                records=True,
+            options = run_options(
+                arguments, arm, has_model, duration=DURATION, records=True
             )
             names = [fault.name for fault in faults_of(arm, folder)]
             cases += [

@@ -33,7 +33,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from benchmarks.speed_table import rewrite
 from rigs.fault_bench import (
     DAMAGE_BOUND,
     SHOULDER,
@@ -49,12 +48,12 @@ from rigs.fault_bench import (
 )
 from rigs.incidents import CASES, UNSEEN
 from rigs.motor_causes import SecondMaster
+from rigs.page_tables import PageTable
 from rigs.places import ROOT
 from rigs.worn_arms import WORN_ARMS, WornSetUp
 
 PAGE = ROOT / "benchmarks" / "motor_faults.md"
-PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
-PAGE_END = "<!-- end of faults -->"
+TABLE = PageTable(PAGE, "faults", "python -m benchmarks.motor_faults page")
 PAGE_HEAD = "| Fault | Departure [rad] | The message contains |\n| --- | --- | --- |"
 _UNSEEN_MASTER = SecondMaster(SHOULDER, is_seen=False)
 FAULTS = (*CASES, Case("second master, shoulder, not seen", _UNSEEN_MASTER, UNSEEN))
@@ -243,7 +242,7 @@ def write_page(jobs: int) -> None:
         rows.append(
             f"| {case.name} | {measured} | {message or 'nothing: it plays to the end'} |"
         )
-    rewrite(PAGE, PAGE_BEGIN, PAGE_END, rows)
+    TABLE.write(rows)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -18,14 +18,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.motor_faults import PAGE, shorten_message
-from benchmarks.speed_table import rewrite
 from rigs.fault_bench import outcomes_of
 from rigs.incident_arms import SETUPS
 from rigs.incidents import PROCESSES, cases_on, departure_of
+from rigs.page_tables import PageTable
 from rigs.process_incidents import results_of
 
-ROWS_BEGIN = "<!-- incidents: python -m benchmarks.motor_incidents --page -->"
-ROWS_END = "<!-- end of incidents -->"
+TABLE = PageTable(PAGE, "incidents", "python -m benchmarks.motor_incidents --page")
 HEAD = (
     "| Incident | Arm | Departure [rad] | Ending | The message begins |\n"
     "| --- | --- | --- | --- | --- |"
@@ -88,7 +87,7 @@ def main() -> None:
             rows.append(row)
     if options.page:
         given = [row for row in rows if NO_MODEL not in row]
-        rewrite(PAGE, ROWS_BEGIN, ROWS_END, given)
+        TABLE.write(given)
 
 
 if __name__ == "__main__":

@@ -46,8 +46,8 @@ from benchmarks import real_logs
 from benchmarks.answers import bare_model_text, identify_logs, run_command, write_log
 from benchmarks.public_arms import AIRBOT, EMPTY, UR10E_MOTION, cut
 from benchmarks.real_logs import file_torque
-from benchmarks.speed_table import rewrite
 from rigs import wrong_arms
+from rigs.page_tables import PageTable
 from rigs.places import DATA, MODELS, ROOT
 from rigs.wrong_arms import RATE, WrongArm, draw_arm, noise_samples
 from robot_sysid.api.calls import identify, read_log
@@ -73,9 +73,9 @@ from robot_sysid.signals.resampling import split_at_gaps
 from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import generate_excitation_trajectory, random_sinusoids
 
-PAGE = ROOT / "docs" / "evidence.md"
-BEGIN = "<!-- promise: python -m benchmarks.promise -->"
-END = "<!-- end of promise -->"
+TABLE = PageTable(
+    ROOT / "docs" / "evidence.md", "promise", "python -m benchmarks.promise"
+)
 ARMS = {
     **wrong_arms.ARMS,
     "panda with its hand": "franka_panda/panda.xml",
@@ -841,7 +841,7 @@ def main() -> int:
         print("\n".join([*table, ""]), flush=True)
         lines += [*table, ""]
     if options.write:
-        rewrite(PAGE, BEGIN, END, lines[:-1])
+        TABLE.write(lines[:-1])
     return 0
 
 

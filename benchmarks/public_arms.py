@@ -28,8 +28,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.real_logs import file_error
-from benchmarks.speed_table import rewrite
 from rigs.command_line import COMMANDS
+from rigs.page_tables import PageTable
 from rigs.places import ROOT
 from robot_sysid.api.calls import identify, payload, read_log
 from robot_sysid.cli import main as run_command
@@ -37,9 +37,9 @@ from robot_sysid.records import Recording
 from robot_sysid.records.file_access import curved_in
 from robot_sysid.signals.process import low_pass_recordings
 
-PAGE = ROOT / "docs" / "evidence.md"
-BEGIN = "<!-- arms: python -m benchmarks.public_arms -->"
-END = "<!-- end of arms -->"
+TABLE = PageTable(
+    ROOT / "docs" / "evidence.md", "arms", "python -m benchmarks.public_arms"
+)
 OUT = Path("sysid_output")
 
 
@@ -239,7 +239,7 @@ def main(folder: str, *options: str) -> None:
     lines = table(Path(folder).resolve())
     print("\n".join(lines))
     if "--write" in options:
-        rewrite(PAGE, BEGIN, END, lines)
+        TABLE.write(lines)
 
 
 if __name__ == "__main__":

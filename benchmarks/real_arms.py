@@ -30,7 +30,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -220,13 +220,19 @@ def interval_line(quantity: str, rows: Array) -> str:
     return f"{quantity:<16}{coverage:6.0f} %{ratio:8.2f}{rms:9.2f} %{width:9.2f} %"
 
 
-def arms_parser(description: str | None) -> argparse.ArgumentParser:
+def arms_parser(
+    description: str | None,
+    default_arms: Iterable[str] = USUAL_ARMS,
+    arms: Iterable[str] = ARMS,
+) -> argparse.ArgumentParser:
     """Return a parser with the options of benchmarks that draw arms of public models."""
-    parser = argparse.ArgumentParser(description=description)
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("models", type=Path)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument(
-        "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
+        "--arms", nargs="+", default=list(default_arms), choices=list(arms)
     )
     return parser
 

@@ -25,8 +25,8 @@ import mujoco
 import numpy as np
 
 from benchmarks import against_mujoco_sysid as rollouts
-from benchmarks.speed_table import rewrite
 from rigs.log_files import arm_of
+from rigs.page_tables import PageTable
 from rigs.places import DATA, ROOT
 from robot_sysid import spatial
 from robot_sysid.api.calls import identify, payload
@@ -37,9 +37,9 @@ from robot_sysid.records import Recording
 from robot_sysid.records.file_access import curved_in
 from robot_sysid.signals.process import low_pass_recordings
 
-PAGE = ROOT / "docs" / "evidence.md"
-BEGIN = "<!-- evidence: python -m benchmarks.real_logs -->"
-END = "<!-- end of evidence -->"
+TABLE = PageTable(
+    ROOT / "docs" / "evidence.md", "evidence", "python -m benchmarks.real_logs"
+)
 ROWS = {
     "catalogue": "catalogue model, as it came",
     "friction": "its links, with friction and rotor inertia by least squares",
@@ -410,7 +410,7 @@ def main(*options: str) -> None:
         print(case.title, columns[-1], file=sys.stderr)
     print("\n".join(table(columns)))
     if "--write" in options:
-        rewrite(PAGE, BEGIN, END, table(columns))
+        TABLE.write(table(columns))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ logs of which something is said, and per motion how many are refused, doubted, o
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -22,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.answers import bare_model_text, run_command, write_log
-from benchmarks.real_arms import SENSOR_ARMS
+from benchmarks.real_arms import SENSOR_ARMS, arms_parser
 from rigs.wrong_arms import ARMS, RATE, draw_arm
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, MotionPlan, Recording
@@ -168,19 +167,12 @@ def findings_of(
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("models", type=Path)
-    parser.add_argument(
-        "--arms", nargs="+", default=list(ALL_ARMS), choices=list(ALL_ARMS)
-    )
+    parser = arms_parser(__doc__, ALL_ARMS, ALL_ARMS)
     parser.add_argument(
         "--motions", nargs="+", default=list(MOTIONS), choices=list(MOTIONS)
     )
     parser.add_argument("--deviations", nargs="+", default=["real", "exact"])
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--first-seed", type=int, default=0)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     seeds = range(options.first_seed, options.first_seed + options.seeds)

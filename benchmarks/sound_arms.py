@@ -28,6 +28,7 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.motor_faults import shorten_message
+from benchmarks.run_arguments import MODELS, add_model_argument
 from rigs.sound_runs import (
     COMPLETED,
     SOUND_ARMS,
@@ -92,11 +93,9 @@ def main() -> int:
     parser.add_argument("--speeds", nargs="+", type=float, default=SPEEDS)
     parser.add_argument("--runs", type=int, default=RUNS, help="draws per line")
     parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
-    parser.add_argument("--model", choices=("both", "with", "without"), default="both")
+    add_model_argument(parser, "both")
     parser.add_argument("--each", action="store_true", help="a line per run, too")
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
-    models = {"both": (True, False), "with": (True,), "without": (False,)}
     seeds = range(arguments.first, arguments.first + arguments.runs)
     arms = [arm for arm in arguments.arms if SOUND_ARMS[arm].is_at_hand]
     endings: Counter = Counter()
@@ -107,7 +106,7 @@ def main() -> int:
         with multiprocessing.Pool(arguments.jobs) as pool:
             for arm, speed in itertools.product(arms, arguments.speeds):
                 begun = time.monotonic()
-                cases = options_of(arm, folder, speed, seeds, models[arguments.model])
+                cases = options_of(arm, folder, speed, seeds, MODELS[arguments.model])
                 results = []
                 for result in pool.imap(partial(result_of, folder=folder), cases):
                     results.append(result)

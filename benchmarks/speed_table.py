@@ -29,12 +29,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import against_mujoco_sysid, servo_arm
+from rigs.page_tables import PageTable
 from rigs.places import GUESS, MODELS, ROOT, TRUTH
 from robot_sysid.parser import load_robot_model
 
-PAGE = ROOT / "benchmarks" / "speed.md"
-BEGIN = "<!-- speed: python -m benchmarks.speed_table -->"
-END = "<!-- end of speed -->"
+TABLE = PageTable(
+    ROOT / "benchmarks" / "speed.md", "speed", "python -m benchmarks.speed_table"
+)
 HEADING = (
     "| Task | With | Processor time | Times | Memory | Error |",
     "| --- | --- | --- | --- | --- | --- |",
@@ -229,13 +230,12 @@ def main(*arguments: str) -> None:
     note = f"Python {platform.python_version()}, {versions}, one thread."
     print(f"\n{note}")
     if "--write" in arguments:
-        rewrite(PAGE, BEGIN, END, [*HEADING, *merge_rows(rows), "", note])
+        TABLE.write([*HEADING, *merge_rows(rows), "", note])
 
 
 def merge_rows(rows: list[str]) -> list[str]:
     """Return the page's rows with those of measured tasks replaced, new tasks last."""
-    table = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
-    page_rows = [line for line in table.splitlines() if line.startswith("|")]
+    page_rows = [line for line in TABLE.read().splitlines() if line.startswith("|")]
     old_tasks = rows_by_task(page_rows[len(HEADING) :])
     tasks = {**old_tasks, **rows_by_task(rows)}
     return [*chain.from_iterable(tasks.values())]
@@ -247,15 +247,6 @@ def rows_by_task(rows: list[str]) -> dict[str, list[str]]:
     for row in rows:
         tasks.setdefault(row.split("|")[1], []).append(row)
     return tasks
-
-
-def rewrite(page: Path, begin: str, end: str, lines: list[str]) -> None:
-    """Put lines between two marks of a page."""
-    text = page.read_text(encoding="utf-8")
-    head, _, tail = text.partition(begin)
-    tail = tail.partition(end)[2]
-    middle = "\n".join([begin, "", *lines, "", end])
-    page.write_text(head + middle + tail, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,6 @@ pytestmark = [
 def test_a_row_of_the_page_is_true(arm, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     public_arms.link_folder(DATA)
-    page = public_arms.PAGE.read_text(encoding="utf-8")
+    page = public_arms.TABLE.page.read_text(encoding="utf-8")
     assert arm.command in page
     assert pages.is_said(public_arms.row(arm), page)

@@ -2,7 +2,7 @@
 
     python -m rigs.recorded_results
 
-records it anew.
+records it anew, and what whole commands print (``rigs.transcripts``).
 """
 
 import json
@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from rigs import results as made
+from rigs import transcripts
 from rigs.bodies import body_estimate, card_of
 from rigs.places import ROOT
 from robot_sysid import spatial
@@ -221,6 +222,7 @@ def main():
     FOLDER.mkdir(exist_ok=True)
     for name, text in RECORDED.items():
         (FOLDER / name).write_text(text(), encoding="utf-8")
+    transcripts.record()
 
 
 if __name__ == "__main__":

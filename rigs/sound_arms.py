@@ -20,9 +20,8 @@ import mujoco
 import numpy as np
 
 from rigs.own_motors import ON, OwnBus
-from rigs.wrong_arms import wrong_links
+from rigs.wrong_arms import write_link, wrong_links
 from robot_sysid import spatial
-from robot_sysid.model.bodies import write_body
 
 STEP = 1e-3
 """Length of a step of the physics [s]."""
@@ -161,15 +160,7 @@ class Plant:
         self._bend = [0.0] * n
 
     def _write_link(self, number):
-        link = self.robot.links[number]
-        theta = self._links[number]
-        if theta[0] <= 0.0:
-            return
-        # The main body has all of the link's mass, the rest of it none.
-        for body in link.bodies[1:]:
-            self._model.body_mass[body.body_id] = 0.0
-            self._model.body_inertia[body.body_id] = 0.0
-        write_body(self._model, link.body_id, theta)
+        write_link(self._model, self.robot.links[number], self._links[number])
 
     def _set_constants(self):
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))

@@ -18,10 +18,9 @@ from rigs.arms import robot_of
 from rigs.fault_bench import FILE_RATE, MOTOR_TYPES, PHYSICS_STEP, SetUp, plan_with
 from rigs.places import GUESS, MODELS
 from rigs.rehearsals import ARMS as REHEARSED
-from rigs.wrong_arms import typical_torque, wrong_links
+from rigs.wrong_arms import typical_torque, write_link, wrong_links
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.model.bodies import write_body
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.trajectory import generate_excitation_trajectory
@@ -47,7 +46,7 @@ class WornStepper(ArmStepper):
     def __init__(self, robot, q, typical, rng):
         super().__init__(robot, q, 2.0 * PHYSICS_STEP)
         for link, theta in zip(robot.links, wrong_links(robot, rng)):
-            self._give(link, theta)
+            write_link(self._model, link, theta)
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
         n = robot.n_joints
         dofs = robot.dof_index
@@ -57,15 +56,6 @@ class WornStepper(ArmStepper):
         self._loss = rng.uniform(0.02, 0.06, n)
         self._viscous = self._viscous + typical * rng.uniform(0.0, 0.1, n)
         self._known = self._coulomb
-
-    def _give(self, link, theta):
-        """Give a link's main body all of its mass, in which the others then have none."""
-        if theta[0] <= 0.0:
-            return
-        for body in link.bodies[1:]:
-            self._model.body_mass[body.body_id] = 0.0
-            self._model.body_inertia[body.body_id] = 0.0
-        write_body(self._model, link.body_id, theta)
 
     def step(self, torque, damping, duration=None):
         load = np.abs(torque - damping * self.qd)

@@ -23,6 +23,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     other_links,
     turn_gravity,
 )
+from robot_sysid.model.bodies import write_body
 from robot_sysid.records import Array, Motion, MotionPlan, Recording, RobotModel
 from robot_sysid.trajectory import generate_excitation_trajectory
 
@@ -394,3 +395,16 @@ def noise_samples(rng, shape, white):
     """Return noise (N, n) of unit variance, white or with a memory of 20 samples."""
     drawn = rng.standard_normal((shape[0] + 200, shape[1]))
     return autocorrelated(drawn, 0.0 if white else MEMORY)[200:]
+
+
+def write_link(model, link, theta):
+    """Write a link's parameters into its main body, beside which its other bodies have no mass.
+
+    A link without mass is left as it is.
+    """
+    if theta[0] <= 0.0:
+        return
+    for body in link.bodies[1:]:
+        model.body_mass[body.body_id] = 0.0
+        model.body_inertia[body.body_id] = 0.0
+    write_body(model, link.body_id, theta)
