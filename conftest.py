@@ -1,4 +1,4 @@
-"""Shared by all tests: the hypothesis profile and fixtures for arms of ``rigs.arms``."""
+"""Shared by all tests: the hypothesis profile and fixtures for arms of ``rigs.arms.small_arms``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import Phase, settings
 
-from rigs import arms
-from rigs.command_line import CommandLine
+from rigs.arms import small_arms
+from rigs.files.command_line import CommandLine
 from robot_sysid.model.compilation import captured_warnings
 
 settings.register_profile("deep", max_examples=200, deadline=None)
@@ -62,7 +62,7 @@ def quiet_mujoco():
 @pytest.fixture
 def three_joint_arm():
     """A small arm whose three joints turn about z, y and x."""
-    return arms.robot_of(arms.THREE)
+    return small_arms.robot_of(small_arms.THREE)
 
 
 @pytest.fixture

@@ -28,13 +28,15 @@ TOLERANCE = 1e-5
 def write(folder: Path) -> None:
     """Identify every arm from a log in which rotors and a motor of two joints show."""
     sys.path.insert(0, str(ROOT))
-    from rigs import arms
-    from rigs.walk import TrueArm
+    from rigs.arms import small_arms
+    from rigs.arms.walk import TrueArm
     from robot_sysid.cli import main
     from robot_sysid.parser import load_robot_model
 
     small = folder / "small.xml"
-    small.write_text(arms.serial_arm((arms.Z, arms.Y, arms.X, arms.Y)))
+    small.write_text(
+        small_arms.serial_arm((small_arms.Z, small_arms.Y, small_arms.X, small_arms.Y))
+    )
     for model in (small, *filter(Path.exists, MODELS)):
         robot = load_robot_model(model)
         arm = TrueArm(robot)

@@ -7,9 +7,9 @@ import re
 
 import pytest
 
-from rigs.command_line import COMMANDS
-from rigs.pages import command_lines
-from rigs.places import ROOT
+from rigs.files.command_line import COMMANDS
+from rigs.files.pages import command_lines
+from rigs.files.places import ROOT
 from robot_sysid.cli import main
 from robot_sysid.errors import EXIT_CODES
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from rigs.arms import TWO_ARMS, Y, serial_arm
-from rigs.command_line import OUT, files_in
-from rigs.places import GUESS
+from rigs.arms.small_arms import TWO_ARMS, Y, serial_arm
+from rigs.files.command_line import OUT, files_in
+from rigs.files.places import GUESS
 from robot_sysid.cli import main, message_lines, record_interrupts
 from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import ColumnsError

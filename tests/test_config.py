@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.command_line import COMMANDS
-from rigs.refusals import refused
+from rigs.files.command_line import COMMANDS
+from rigs.files.refusals import refused
 from robot_sysid.config import (
     IdentifyConfig,
     PayloadConfig,

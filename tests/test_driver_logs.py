@@ -10,7 +10,8 @@ import shlex
 import numpy as np
 import pytest
 
-from rigs.driver_logs import (
+from rigs.files.places import MODELS
+from rigs.logs.driver_logs import (
     DRIVER_LOGS,
     OPENARM,
     OPENARM_LOG,
@@ -18,8 +19,7 @@ from rigs.driver_logs import (
     UNWEIGHED_LOGS,
     so101_data_set,
 )
-from rigs.log_files import open_log
-from rigs.places import MODELS
+from rigs.logs.log_files import open_log
 from robot_sysid.cli import main
 from robot_sysid.logs import LogOptions
 from robot_sysid.parser import load_robot_model

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 
-from rigs import results as made
-from rigs import urdf
-from rigs.arms import random_theta
-from rigs.command_line import files_in
-from rigs.model_files import ARM, write_files
-from rigs.notes import NoteRecorder
-from rigs.schemas import schema
+from rigs.arms.small_arms import random_theta
+from rigs.files import results as made
+from rigs.files import urdf
+from rigs.files.command_line import files_in
+from rigs.files.model_files import ARM, write_files
+from rigs.files.notes import NoteRecorder
+from rigs.files.schemas import schema
 from robot_sysid.config import PayloadConfig
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError

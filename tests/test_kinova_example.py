@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.places import EXAMPLE
+from rigs.files.places import EXAMPLE
 from robot_sysid.model.bodies import body_theta
 
 MODELS = ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rigs import pages, schemas
+from rigs.files import pages, schemas
 from robot_sysid.cli import main
 
 pytestmark = pytest.mark.slow

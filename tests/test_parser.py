@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs import arms, urdf
-from rigs.arms import X, Y, Z, compile_xml, robot_of, serial_arm
-from rigs.refusals import refused
+from rigs.arms import small_arms
+from rigs.arms.small_arms import X, Y, Z, compile_xml, robot_of, serial_arm
+from rigs.files import urdf
+from rigs.files.refusals import refused
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.parser import load_robot_model
 
 
 def test_a_file_becomes_an_arm(arm_file):
-    robot = load_robot_model(arm_file(arms.SEVEN))
+    robot = load_robot_model(arm_file(small_arms.SEVEN))
     assert robot.terminal_joint == "joint6"
     assert robot.body_name == "link6"
     assert robot.n_joints == 7
@@ -29,22 +30,22 @@ def test_a_file_becomes_an_arm(arm_file):
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_either_of_two_arms_can_be_asked_for(side):
-    robot = robot_of(arms.TWO_ARMS, f"{side}_joint3")
+    robot = robot_of(small_arms.TWO_ARMS, f"{side}_joint3")
     assert robot.joint_names == tuple(f"{side}_joint{k}" for k in range(4))
     assert robot.body_name == f"{side}_link3"
 
 
 def test_a_joint_in_the_middle_makes_all_behind_it_the_link():
-    robot = robot_of(arms.THREE, "joint1")
+    robot = robot_of(small_arms.THREE, "joint1")
     assert robot.joint_names == ("joint0", "joint1")
     masses = robot.mj_model.body_mass[subtree(robot.mj_model, robot.body_id)]
     assert robot.prior.mass == pytest.approx(np.sum(masses), rel=1e-14)
 
 
-@pytest.mark.parametrize("name", arms.MODELS)
+@pytest.mark.parametrize("name", small_arms.MODELS)
 def test_prior_is_the_composite_that_mujoco_sees(name):
     """Mass and centre of mass of the subtree, by MuJoCo's own sums."""
-    robot = robot_of(arms.MODELS[name])
+    robot = robot_of(small_arms.MODELS[name])
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.reference_qpos
     mujoco.mj_kinematics(robot.mj_model, data)
@@ -58,15 +59,21 @@ def test_prior_is_the_composite_that_mujoco_sees(name):
     assert robot.prior.is_consistent
 
 
-ONE_KEYFRAME = arms.HOME_KEYFRAME.replace('<key name="other" qpos="0 0 0 0 0 0"/>', "")
-NO_HOME = arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"').replace(
+ONE_KEYFRAME = small_arms.HOME_KEYFRAME.replace(
+    '<key name="other" qpos="0 0 0 0 0 0"/>', ""
+)
+NO_HOME = small_arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"').replace(
     'name="other"', ""
 )
 
 
 @pytest.mark.parametrize(
     "xml",
-    [arms.HOME_KEYFRAME, ONE_KEYFRAME, ONE_KEYFRAME.replace("home", "neutral_pose")],
+    [
+        small_arms.HOME_KEYFRAME,
+        ONE_KEYFRAME,
+        ONE_KEYFRAME.replace("home", "neutral_pose"),
+    ],
 )
 def test_at_rest_the_arm_is_in_the_home_keyframe_or_in_the_only_one(xml):
     model = compile_xml(xml)
@@ -85,7 +92,7 @@ def test_of_several_keyframes_without_home_none_is_taken_unless_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("xml", "there"), [(NO_HOME, "#0, stand"), (arms.THREE, "none")]
+    ("xml", "there"), [(NO_HOME, "#0, stand"), (small_arms.THREE, "none")]
 )
 def test_a_keyframe_that_is_not_there_is_refused(xml, there):
     with refused(f"no such keyframe; the model has {there}"):
@@ -95,7 +102,7 @@ def test_a_keyframe_that_is_not_there_is_refused(xml, there):
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0.0, -3.0, 4.0)])
 def test_gravity_acts_along_the_direction_that_is_stated(arm_file, direction):
     """It is as large as in the file, whatever the length of the direction."""
-    path = arm_file(arms.THREE)
+    path = arm_file(small_arms.THREE)
     size = np.linalg.norm(load_robot_model(path).mj_model.opt.gravity)
     robot = load_robot_model(path, gravity=direction)
     expected = size * np.array(direction) / np.linalg.norm(direction)
@@ -105,13 +112,15 @@ def test_gravity_acts_along_the_direction_that_is_stated(arm_file, direction):
 
 @pytest.mark.parametrize("direction", [(0, 0, 0), (1, 0), (np.nan, 0, 1)])
 def test_what_is_no_direction_of_gravity_is_refused(arm_file, direction):
-    path = arm_file(arms.THREE)
+    path = arm_file(small_arms.THREE)
     with refused("--gravity X Y Z takes a direction"):
         load_robot_model(path, gravity=direction)
 
 
 def test_a_model_without_gravity_says_so_and_gets_that_of_earth(arm_file):
-    text = arms.THREE.replace("<worldbody>", '<option gravity="0 0 0"/><worldbody>', 1)
+    text = small_arms.THREE.replace(
+        "<worldbody>", '<option gravity="0 0 0"/><worldbody>', 1
+    )
     path = arm_file(text)
     assert any("the model has no gravity" in n for n in load_robot_model(path).notes)
     robot = load_robot_model(path, gravity=(2, 0, 0))
@@ -120,7 +129,7 @@ def test_a_model_without_gravity_says_so_and_gets_that_of_earth(arm_file):
 
 
 def test_a_weightless_link_is_refused():
-    model = compile_xml(arms.THREE)
+    model = compile_xml(small_arms.THREE)
     model.body_mass[3] = 0.0
     model.body_inertia[3] = 0.0
     with refused("body link2 and all below it weigh nothing", ModelError):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import robot_sysid
-from rigs.places import ROOT
+from rigs.files.places import ROOT
 from robot_sysid.cli import main
 from robot_sysid.regressor import derive_regressor
 from tests.test_architecture import nodes_of, package_sources

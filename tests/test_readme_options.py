@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rigs import option_tables
-from rigs.option_tables import TABLES
+from rigs.files import option_tables
+from rigs.files.option_tables import TABLES
 from robot_sysid.estimate.options import Priors
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.option_fields import options_of
@@ -12,7 +12,7 @@ TEXTS = [path.read_text(encoding="utf-8") for path in option_tables.PAGES]
 
 
 def test_the_tables_are_what_the_generator_writes():
-    """``python -m rigs.option_tables`` brings them up to date."""
+    """``python -m rigs.files.option_tables`` brings them up to date."""
     assert [option_tables.with_tables(text) for text in TEXTS] == TEXTS
 
 

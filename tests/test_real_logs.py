@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from rigs.params import motors, rows
-from rigs.places import DATA, ROOT
+from rigs.files.params import motors, rows
+from rigs.files.places import DATA, ROOT
 from robot_sysid.cli import main
 
 KUKA = DATA / "kuka_lwr4"

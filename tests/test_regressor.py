@@ -6,7 +6,7 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
-from rigs.arms import SEEDS, random_rotation, random_theta, vector_text
+from rigs.arms.small_arms import SEEDS, random_rotation, random_theta, vector_text
 from robot_sysid import spatial
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.regressor import derive_regressor, wrench_regressor

@@ -8,8 +8,8 @@ from functools import cache
 
 import pytest
 
-from rigs import pages
-from rigs.command_line import COMMANDS
+from rigs.files import pages
+from rigs.files.command_line import COMMANDS
 from robot_sysid.commands import COMMANDS as NAMES
 from robot_sysid.commands.arguments import Parser
 from tests.test_architecture import nodes_of, package_sources

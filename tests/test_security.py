@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from rigs.arms import serial_arm
-from rigs.places import ROOT
+from rigs.arms.small_arms import serial_arm
+from rigs.files.places import ROOT
 
 DOCUMENTS = "mjcf/test_documents.py::"
 ARRAYS = "logs/test_arrays.py::"

@@ -7,15 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.arms import SEEDS, robot_of, seeded_motion
-from rigs.refusals import refused
+from rigs.arms import small_arms
+from rigs.arms.small_arms import SEEDS, robot_of, seeded_motion
+from rigs.files.refusals import refused
 from robot_sysid.errors import SimulationError
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 NAMES = ("seven", "dry friction", "springs")
-PLAIN = {name: robot_of(arms.MODELS[name]) for name in NAMES}
+PLAIN = {name: robot_of(small_arms.MODELS[name]) for name in NAMES}
 
 
 def simulated(robot, motion):
@@ -40,9 +40,9 @@ def test_friction_is_coulomb_and_viscous_with_the_models_coefficients(name, seed
 
 def test_contacts_and_joint_limits_do_not_push():
     """A motion through the floor and past the limits takes no more than one in free space."""
-    free = arms.serial_arm(("0 0 1", "0 1 0", "1 0 0"), joint="")
+    free = small_arms.serial_arm(("0 0 1", "0 1 0", "1 0 0"), joint="")
     wall = '<geom type="plane" size="5 5 1" pos="0 0 5"/>'
-    boxed = arms.serial_arm(("0 0 1", "0 1 0", "1 0 0"), joint='range="-.1 .1"')
+    boxed = small_arms.serial_arm(("0 0 1", "0 1 0", "1 0 0"), joint='range="-.1 .1"')
     tip = '<geom size=".1" mass="0"/></body></body></body>'
     boxed = boxed.replace("</body></body></body>", tip).replace(
         "<worldbody>", f"<worldbody>{wall}"
@@ -54,7 +54,7 @@ def test_contacts_and_joint_limits_do_not_push():
 
 
 def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause():
-    robot = robot_of(arms.SEVEN)
+    robot = robot_of(small_arms.SEVEN)
     robot.mj_model.body_mass[robot.body_id] = np.nan
     plan = generate_excitation_trajectory(robot, np.random.default_rng(0), 2.0)
     message = r"joint joint\d .* at \d\.\d{3} s.*<inertial>"

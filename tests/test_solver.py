@@ -8,8 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.arms import SEEDS, random_theta
-from rigs.synthetic_data import arm_equations, sums_of, terminal_sums
+from rigs.arms.small_arms import SEEDS, random_theta
+from rigs.arms.synthetic_data import arm_equations, sums_of, terminal_sums
 from robot_sysid import spatial
 from robot_sysid.solver import identify_parameters
 

@@ -12,7 +12,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from rigs.arms import SEEDS, random_rotation, random_theta
+from rigs.arms.small_arms import SEEDS, random_rotation, random_theta
 from robot_sysid import spatial
 
 assert_close = partial(assert_allclose, rtol=0.0)

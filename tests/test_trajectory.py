@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
-from rigs import arms
-from rigs.arms import SEEDS, robot_of
+from rigs.arms import small_arms
+from rigs.arms.small_arms import SEEDS, robot_of
 from robot_sysid.records import Limits
 from robot_sysid.trajectory import (
     generate_excitation_trajectory,
@@ -17,7 +17,7 @@ from robot_sysid.trajectory import (
     sample_times,
 )
 
-THREE = robot_of(arms.THREE)
+THREE = robot_of(small_arms.THREE)
 DURATIONS = st.one_of(st.floats(0.02, 3.0), st.floats(3.0, 60.0))
 
 
@@ -75,7 +75,7 @@ def test_every_joint_uses_its_range_or_its_speed(robot, seed, duration):
 
 @given(SEEDS)
 def test_frequencies_are_in_the_band_and_distinct(seed):
-    plan = excitation(robot_of(arms.SEVEN), seed)
+    plan = excitation(robot_of(small_arms.SEVEN), seed)
     used = plan.amplitude != 0.0
     assert np.all(np.isin(np.sum(used, axis=1), (3, 4, 5)))
     frequency = np.sort(plan.frequency_hz[used])

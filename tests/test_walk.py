@@ -13,20 +13,20 @@ from pathlib import Path
 
 import pytest
 
-from rigs import arms
-from rigs.driver_logs import (
+from rigs.arms import small_arms
+from rigs.arms.walk import MOST_STEPS, TrueArm, Walk
+from rigs.files.places import MODELS
+from rigs.logs.driver_logs import (
     DRIVER_LOGS,
     SO101,
     UNWEIGHED_LOGS,
     UR_CONSTANTS,
     so101_data_set,
 )
-from rigs.places import MODELS
-from rigs.walk import MOST_STEPS, TrueArm, Walk
 from robot_sysid.parser import load_robot_model
 
 JOINT = 'range="-2 2" armature=".02"'
-SMALL = arms.serial_arm(joint=JOINT)
+SMALL = small_arms.serial_arm(joint=JOINT)
 PATIENCE = 0.2
 """Of the person with searches [s]: only what is printed counts, not how good a motion is."""
 ZOO = [

@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-from rigs import arms
-from rigs.places import ROOT
+from rigs.arms import small_arms
+from rigs.files.places import ROOT
 
 DAMIAO = "robot_sysid.damiao"
 COMMANDS = "robot_sysid.commands.motors"
@@ -80,7 +80,9 @@ def test_what_is_for_motors_says_what_is_missing_and_all_else_starts(run, missin
 
 @pytest.mark.slow
 def test_an_arm_is_identified_without_motors(run, tmp_path):
-    arm = arms.serial_arm((arms.Z, arms.Y), joint='frictionloss="0.4" damping="0.2"')
+    arm = small_arms.serial_arm(
+        (small_arms.Z, small_arms.Y), joint='frictionloss="0.4" damping="0.2"'
+    )
     (tmp_path / "arm.xml").write_text(arm)
     motors = "--export-damiao --motor-type DM4340 --motor-type DM4340"
     codes, output = run(

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs import arms, witness
-from rigs.places import MODELS
+from rigs.arms import small_arms, witness
+from rigs.files.places import MODELS
 from robot_sysid import spatial
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
@@ -109,7 +109,7 @@ def excitation(robot, duration=15.0):
 
 def with_heavier_link(robot):
     """The same arm carrying 30 % more at its last link."""
-    return arms.with_link(robot, 1.3 * body_theta(robot.mj_model, robot.body_id))
+    return small_arms.with_link(robot, 1.3 * body_theta(robot.mj_model, robot.body_id))
 
 
 @pytest.mark.parametrize(("model", "terminal", "joints"), slow_unless_quick(WHOLE_ARMS))
@@ -131,7 +131,7 @@ def test_another_link_than_the_models_is_found(model, joint):
     """Not a run that can only return the model: the arm that is simulated carries more."""
     robot = load(model, joint)
     heavier, theta = with_heavier_link(robot)
-    plant = arms.robot_of(heavier, robot.terminal_joint)
+    plant = small_arms.robot_of(heavier, robot.terminal_joint)
     motion = TrajectoryOptions()
     arm = LastLinkTerms(robot)
     motions = motion_chunks(excitation(robot, motion.duration), motion.sample_rate)

@@ -46,7 +46,7 @@ arms of this mass are rated for."""
 UNMODELLED_TORQUE = 0.002
 """Torque that the model of an arm does not explain, such as friction at reversals, over a joint's
 root mean square torque. Where a payload is weighed, all larger errors cancel and it adds to the
-noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.payload_plan)."""
+noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.trust.payload_plan)."""
 
 # Causes of terms that each joint has.
 _OF_JOINTS = (FRICTION, FURTHER_FRICTION, SCALES)

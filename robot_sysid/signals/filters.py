@@ -6,7 +6,8 @@ ICRA 1997). The filter is symmetric and of finite length, a sinc times a Kaiser 
 nothing, and assumes nothing beyond the ends of a log (they are cut off).
 
 Derivatives are symmetric finite stencils of order sixteen: at a tenth of the sample rate they are
-exact to 2e-9. How other methods do on encoder data: benchmarks/differentiation_accuracy.py.
+exact to 2e-9. How other methods do on encoder data:
+benchmarks/accuracy/differentiation_accuracy.py.
 """
 
 from __future__ import annotations

@@ -13,8 +13,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import robot_sysid as rs
-from rigs import arms, pages, params, recorded, results
-from rigs.refusals import refused
+from rigs.arms import small_arms
+from rigs.files import pages, params, results
+from rigs.files.refusals import refused
+from rigs.logs import recorded
 from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Recording
@@ -101,7 +103,7 @@ ZEROS = np.zeros((9, 2))
     ],
 )
 def test_arrays_that_are_no_columns_are_named_with_what_is_wrong(changed, message):
-    robot = arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))
+    robot = small_arms.robot_of(small_arms.serial_arm((small_arms.Z, small_arms.Y)))
     log = {"time": np.arange(9.0), "q": ZEROS, "tau": ZEROS, "tau_limit": [1.0, 2.0]}
     with refused(message):
         rs.read_log({**log, **changed}, robot)

@@ -8,13 +8,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robot_sysid as rs
-from rigs import arms
-from rigs.places import EXAMPLE, MODELS
-from rigs.refusals import refused
+from rigs.arms import small_arms
+from rigs.files.places import EXAMPLE, MODELS
+from rigs.files.refusals import refused
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy
 
 JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
-TEXT = arms.serial_arm(joint=JOINT)
+TEXT = small_arms.serial_arm(joint=JOINT)
 
 
 def motion(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

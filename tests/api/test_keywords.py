@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import robot_sysid as rs
-from rigs.command_line import COMMANDS, require_names
-from rigs.option_samples import samples
+from rigs.files.command_line import COMMANDS, require_names
+from rigs.files.option_samples import samples
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.wording import (
     in_python,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
-from rigs import arms
-from rigs.damiao_rig import MotorBus, swing, trajectory_file, with_coarse_physics
-from rigs.recordings import read_recording
+from rigs.arms import small_arms
+from rigs.motors.damiao_rig import MotorBus, swing, trajectory_file, with_coarse_physics
+from rigs.motors.recordings import read_recording
 from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
 from robot_sysid.damiao.protocol import DISABLED
@@ -19,7 +19,7 @@ from robot_sysid.damiao.protocol import DISABLED
 
 @pytest.fixture
 def model(arm_file):
-    return arm_file(arms.serial_arm((arms.Z, arms.Y)))
+    return arm_file(small_arms.serial_arm((small_arms.Z, small_arms.Y)))
 
 
 @pytest.fixture

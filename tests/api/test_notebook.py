@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from rigs.places import EXAMPLE
+from rigs.files.places import EXAMPLE
 
 NOTEBOOK = json.loads((EXAMPLE / "python.ipynb").read_text(encoding="utf-8"))
 

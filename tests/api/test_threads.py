@@ -7,7 +7,7 @@ import scipy.linalg  # noqa: F401 - brings threads of its own, which are counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import robot_sysid as rs
-from rigs import arms
+from rigs.arms import small_arms
 from robot_sysid.api import calls
 from robot_sysid.api.results import one_thread
 
@@ -51,5 +51,5 @@ def test_a_function_works_in_one(monkeypatch, arm_file):
         return identify(*arguments)
 
     monkeypatch.setattr(calls.stages, "identify", identify_and_count)
-    rs.self_test(arm_file(arms.THREE), duration=1.0, seed=1)
+    rs.self_test(arm_file(small_arms.THREE), duration=1.0, seed=1)
     assert thread_counts == [{1}] and counts() == {2}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rigs import arms
-from rigs.clocks import heard_signals
-from rigs.damiao_rig import MotorBus
+from rigs.arms import small_arms
+from rigs.motors.clocks import heard_signals
+from rigs.motors.damiao_rig import MotorBus
 from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.pipeline import planning
 
@@ -26,7 +26,7 @@ def without_prediction(monkeypatch):
 @pytest.fixture
 def model(arm_file):
     """A model of an arm of two joints."""
-    return arm_file(arms.serial_arm((arms.Z, arms.Y)))
+    return arm_file(small_arms.serial_arm((small_arms.Z, small_arms.Y)))
 
 
 @pytest.fixture

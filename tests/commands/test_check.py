@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
-from rigs import arms
-from rigs.command_line import CommandLine
-from rigs.wrong_arms import truth_of
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import truth_of
+from rigs.files.command_line import CommandLine
 from robot_sysid import spatial
 from robot_sysid.logs.text import write_measurement_csv
 
-ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
-OTHER = arms.serial_arm((arms.Z, arms.Y, arms.X, arms.Y), joint='range="-2.5 2.5"')
+ARM = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+OTHER = small_arms.serial_arm(
+    (small_arms.Z, small_arms.Y, small_arms.X, small_arms.Y), joint='range="-2.5 2.5"'
+)
 TURNED = np.radians(2.0) * np.eye(4)[1]
 FRICTION_ALONE = np.array([1.0, 1.0, 1.0, -1.0])
 
@@ -27,7 +29,7 @@ def folder(tmp_path_factory):
     """A model, an earlier log of an arm, and later ones of another motion."""
     folder = tmp_path_factory.mktemp("check")
     (folder / "arm.xml").write_text(ARM)
-    robot = arms.robot_of(ARM)
+    robot = small_arms.robot_of(ARM)
     first = truth_of(robot, 2)
     motion = truth_of(robot, 3).motion
     noise = 0.02 * np.random.default_rng(1).standard_normal(motion.q.shape)
@@ -38,7 +40,7 @@ def folder(tmp_path_factory):
         "turned": replace(same, q=same.q + TURNED),
         "sign": replace(same, tau=same.tau * FRICTION_ALONE),
         "still": replace(same, q=np.tile(same.q[:1], (len(same), 1))),
-        "other": truth_of(arms.robot_of(OTHER), 3).log,
+        "other": truth_of(small_arms.robot_of(OTHER), 3).log,
     }
     for name, log in logs.items():
         write_measurement_csv(folder / f"{name}.csv", robot.joint_names, [log])
@@ -89,7 +91,7 @@ def test_a_log_that_shows_nothing_or_is_none_is_refused(command, log, since, tex
 @pytest.mark.parametrize("way", [pytest.param("on", marks=pytest.mark.slow), "off"])
 def test_a_load_is_weighed_as_by_payload(folder, command, way):
     """Whichever side carries it, and although gears lose a part of it."""
-    robot = arms.robot_of(ARM)
+    robot = small_arms.robot_of(ARM)
     arm = replace(truth_of(robot, 2).arm, loss=np.full(4, 0.1))
     weight = spatial.theta_from_com(0.5, np.array([0.0, 0.02, 0.1]), 1e-3 * np.eye(3))
     rng = np.random.default_rng(2)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rigs.places import EXAMPLE, ROOT
-from rigs.refusals import refused
+from rigs.files.places import EXAMPLE, ROOT
+from rigs.files.refusals import refused
 from robot_sysid.cli import main
 from robot_sysid.commands.example import source_folder
 

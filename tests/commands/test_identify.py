@@ -11,9 +11,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import robot_sysid as rs
-from rigs import arms, params, schemas, servo_logs
-from rigs.command_line import OUT, words_of
-from rigs.measured_logs import JOINT, log_of, plan_of, true_arm
+from rigs.arms import small_arms
+from rigs.files import params, schemas
+from rigs.files.command_line import OUT, words_of
+from rigs.logs import servo_logs
+from rigs.logs.measured_logs import JOINT, log_of, plan_of, true_arm
 from robot_sysid.api.results import one_thread
 from robot_sysid.cli import main
 from robot_sysid.logs.text import write_measurement_csv
@@ -21,8 +23,8 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import InertialParameters
 from robot_sysid.results.table import ORIGIN
 
-HEAVY = arms.serial_arm(
-    joint=JOINT, tip_inertial=arms.TIP.replace('mass=".8"', 'mass="1.6"')
+HEAVY = small_arms.serial_arm(
+    joint=JOINT, tip_inertial=small_arms.TIP.replace('mass=".8"', 'mass="1.6"')
 )
 TERMS = "coulomb-viscous-offset-armature"
 QUICK = ("--friction-model", TERMS)
@@ -159,7 +161,7 @@ def log_with_commands():
     time, command = servo_logs.sines_and_steps()
     return (
         time,
-        servo_logs.positions(arms.robot_of(servo_logs.XML), time, command),
+        servo_logs.positions(small_arms.robot_of(servo_logs.XML), time, command),
         command,
     )
 

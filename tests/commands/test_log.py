@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs import arms, recorded
-from rigs.command_line import CommandLine
-from rigs.payload_logs import TrueArm, wide_motion
-from rigs.wrong_arms import truth_of
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import truth_of
+from rigs.files.command_line import CommandLine
+from rigs.logs import recorded
+from rigs.logs.payload_logs import TrueArm, wide_motion
 from robot_sysid.commands.remedies import remedies
 from robot_sysid.diagnosis import gate
 from robot_sysid.errors import InputError
@@ -22,7 +23,7 @@ from robot_sysid.records import Recording
 from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.spatial import theta_from_com
 
-ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+ARM = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
 
 ONE_KG = theta_from_com(1.0, np.array([0.05, 0.03, 0.1]), 2e-3 * np.eye(3))
 PER_NM = np.array([0.08, 0.08, 0.1, 0.13])
@@ -31,7 +32,7 @@ PER_NM = np.array([0.08, 0.08, 0.1, 0.13])
 
 @pytest.fixture(scope="module")
 def truth():
-    return truth_of(arms.robot_of(ARM), 2)
+    return truth_of(small_arms.robot_of(ARM), 2)
 
 
 def late(log):
@@ -211,7 +212,7 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
     command, folder
 ):
     """It runs as printed when the log with the weight is there, and its file is the truth's."""
-    arm = TrueArm(arms.robot_of(ARM), 1, model_error=0.05, payload=ONE_KG)
+    arm = TrueArm(small_arms.robot_of(ARM), 1, model_error=0.05, payload=ONE_KG)
     for seed, name in enumerate(("ampere", "weight")):
         motion = wide_motion(seed, joints=4, duration=15.0, rate=250.0)
         torque = arm.recording(motion, name == "weight").tau

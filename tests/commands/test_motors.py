@@ -11,10 +11,10 @@ import sys
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.command_line import fail, succeed, words_of
-from rigs.command_line import run_motors as run
-from rigs.damiao_rig import (
+from rigs.arms import small_arms
+from rigs.files.command_line import fail, succeed, words_of
+from rigs.files.command_line import run_motors as run
+from rigs.motors.damiao_rig import (
     fault,
     map_line,
     only_asks,
@@ -22,8 +22,8 @@ from rigs.damiao_rig import (
     trajectory_file,
     with_coarse_physics,
 )
-from rigs.realtime_arm import NEEDS_TERMINALS, arm_process
-from rigs.recordings import read_recording
+from rigs.motors.realtime_arm import NEEDS_TERMINALS, arm_process
+from rigs.motors.recordings import read_recording
 from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.damiao.bus import SystemClock
@@ -250,7 +250,10 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
 ):
     """Play and simulate refuse what check has to say."""
     trajectory = write_trajectory(tmp_path, swing(2, amplitude=0.98))
-    model = "--model", arm_file(arms.serial_arm((arms.Z, arms.Y), joint=NARROW))
+    model = (
+        "--model",
+        arm_file(small_arms.serial_arm((small_arms.Z, small_arms.Y), joint=NARROW)),
+    )
     record = "--record", tmp_path / "measured.csv"
     files = set(tmp_path.iterdir())
     messages = set()
@@ -275,7 +278,7 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
 
 def test_limits_hold_for_what_is_played(capsys, bus, trajectory, arm_file):
     """At 0.31 rad/s; planes only with a model, and models of as many joints."""
-    three = arm_file(arms.THREE)
+    three = arm_file(small_arms.THREE)
     for code, options, message in (
         (2, "--keep-out 0 0 1 0", "--keep-out is about a model; add --model"),
         (2, f"--model {three}", f"has 2 joints but the chain of {three} has 3"),
@@ -336,7 +339,7 @@ def test_the_command_behind_a_rehearsal_identifies_the_simulated_arm(
 ):
     """From a motion planned for the arm, with friction and without."""
     joint = f'armature=".05" {friction}'
-    model = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=joint))
+    model = arm_file(small_arms.serial_arm((small_arms.Z, small_arms.Y), joint=joint))
     plan = "--for arm --excitation sines --duration 10 --seed 0 --export-damiao"
     motors = "--motor-type DM4340 --motor-type DM4340"
     command.run("plan", model, plan, motors, "--output-dir plan")

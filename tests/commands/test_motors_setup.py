@@ -7,9 +7,9 @@ import shlex
 
 import pytest
 
-from rigs import arms
-from rigs.command_line import fail, succeed
-from rigs.damiao_rig import only_asks
+from rigs.arms import small_arms
+from rigs.files.command_line import fail, succeed
+from rigs.motors.damiao_rig import only_asks
 from robot_sysid.damiao.joints import read_joint_map
 from robot_sysid.damiao.protocol import (
     DISABLED,
@@ -191,7 +191,7 @@ def test_a_joint_that_cannot_have_gone_as_was_said_is_not_mapped(
     capsys, bus, person, turned, tmp_path, arm_file, answer
 ):
     """The second joint stands at the upper end of its range, which is the model's own pose."""
-    model = arms.serial_arm((arms.Z, arms.Y), joint='range="-1 .001"')
+    model = small_arms.serial_arm((small_arms.Z, small_arms.Y), joint='range="-1 .001"')
     waiting, _ = person
     output = tmp_path / "map.csv"
     waiting += [turned(0, -0.5, "opposite"), turned(1, -0.5, answer)]

@@ -8,16 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.command_line import fail, succeed
-from rigs.damiao_rig import fault, trajectory_file
-from rigs.wrong_arms import resting_torque
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import resting_torque
+from rigs.files.command_line import fail, succeed
+from rigs.motors.damiao_rig import fault, trajectory_file
 from robot_sysid.cli import main
 from robot_sysid.damiao.protocol import Register
 from robot_sysid.motion.search import Design
 
 SETUP = "setup --channel can0"
-MODEL = arms.serial_arm((arms.Y, arms.Y), joint='range="-2 2" armature=".02"')
+MODEL = small_arms.serial_arm(
+    (small_arms.Y, small_arms.Y), joint='range="-2 2" armature=".02"'
+)
 
 
 @pytest.fixture
@@ -58,7 +60,7 @@ def run(capsys, words, codes=(0,)):
 
 def still_trajectory(folder, n_joints=2):
     """Write a motion of as many joints that stand still at zero, with the torque of the model."""
-    robot = arms.robot_of(MODEL)
+    robot = small_arms.robot_of(MODEL)
     still = np.zeros((2, n_joints))
     gravity = resting_torque(robot, np.zeros((1, 2)), robot.thetas)[0]
     torque = still + np.resize(gravity, n_joints)

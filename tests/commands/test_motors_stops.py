@@ -9,10 +9,10 @@ import time
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.command_line import fail, run_motors, succeed
-from rigs.damiao_rig import fault, map_line, only_asks, trajectory_file
-from rigs.wrong_arms import resting_torque
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import resting_torque
+from rigs.files.command_line import fail, run_motors, succeed
+from rigs.motors.damiao_rig import fault, map_line, only_asks, trajectory_file
 from robot_sysid.commands.motors import limp
 from robot_sysid.commands.motors.stops import HELD_LOOKS
 from robot_sysid.damiao.joints import BY_HAND, read_joint_map, write_joint_map
@@ -20,7 +20,9 @@ from robot_sysid.damiao.protocol import ENABLED
 
 LOWER = -1.2
 UPPER = 2.0
-MODEL = arms.serial_arm((arms.Z, arms.Y), joint=f'range="{LOWER} {UPPER}"')
+MODEL = small_arms.serial_arm(
+    (small_arms.Z, small_arms.Y), joint=f'range="{LOWER} {UPPER}"'
+)
 STOPS = LOWER, UPPER
 
 
@@ -301,7 +303,7 @@ def test_the_command_that_is_printed_runs(
 ):
     """It checks the motors for a motion that is planned already, with the new map."""
     monkeypatch.chdir(tmp_path)
-    robot = arms.robot_of(MODEL)
+    robot = small_arms.robot_of(MODEL)
     still = np.zeros((2, 2))
     torque = still + resting_torque(robot, still[:1], robot.thetas)
     trajectory_file(tmp_path, (np.array([0.0, 1.0]), still, still, torque))

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs import arms, urdf
-from rigs.command_line import CommandLine
-from rigs.wrong_arms import resting_torque, truth_of
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import resting_torque, truth_of
+from rigs.files import urdf
+from rigs.files.command_line import CommandLine
 from robot_sysid.dynamics.inverse_dynamics import with_gravity
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
@@ -27,7 +28,7 @@ LINKS = {
 }
 TURN = iter(AXES)
 MODELS = {
-    "arm.xml": arms.serial_arm(AXES, joint='range="-2.5 2.5"'),
+    "arm.xml": small_arms.serial_arm(AXES, joint='range="-2.5 2.5"'),
     "arm.urdf": re.sub(
         '<axis xyz="0 0 1"/><origin xyz="0 0 0.2" rpy="0.1 0 0"/>',
         lambda _: f'<axis xyz="{next(TURN)}"/><origin xyz="0 0 0.2"/>',

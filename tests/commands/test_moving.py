@@ -11,12 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.clocks import heard_signals
-from rigs.command_line import fail, run_motors, succeed
-from rigs.damiao_rig import MotorBus, only_asks, trajectory_of, with_coarse_physics
-from rigs.recordings import read_recording
-from rigs.wrong_arms import resting_torque
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import resting_torque
+from rigs.files.command_line import fail, run_motors, succeed
+from rigs.motors.clocks import heard_signals
+from rigs.motors.damiao_rig import (
+    MotorBus,
+    only_asks,
+    trajectory_of,
+    with_coarse_physics,
+)
+from rigs.motors.recordings import read_recording
 from robot_sysid.commands.motors.moving import goal_pose, moving_activity, moving_plan
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import DISABLED
@@ -28,10 +33,10 @@ from robot_sysid.simulation.plant import ArmStepper
 
 KEYS = '<key name="home" qpos=".1 .2"/><key name="up" qpos="0 0"/><key qpos=".35 .05"/>'
 JOINT = 'armature=".05" damping="1" frictionloss=".05" range="-2.5 2.5"'
-MODEL = arms.serial_arm(
-    (arms.Y, arms.Y), joint=JOINT, extra=f"<keyframe>{KEYS}</keyframe>"
+MODEL = small_arms.serial_arm(
+    (small_arms.Y, small_arms.Y), joint=JOINT, extra=f"<keyframe>{KEYS}</keyframe>"
 )
-ROBOT = arms.robot_of(MODEL)
+ROBOT = small_arms.robot_of(MODEL)
 START = 0.3, 0.1
 USUAL = "--accept-directions --rate 100 --channel can0"
 
@@ -52,7 +57,9 @@ def test_a_pose_is_a_keyframe_or_a_position_of_each_joint():
 
 
 def test_a_model_without_keyframes_takes_positions():
-    robot = arms.robot_of(arms.serial_arm((arms.Y, arms.Y), joint=JOINT))
+    robot = small_arms.robot_of(
+        small_arms.serial_arm((small_arms.Y, small_arms.Y), joint=JOINT)
+    )
     assert goal_pose(robot, ["0.5", "1"]).tolist() == [0.5, 1.0]
     with pytest.raises(InputError, match="are none, and else it takes one position"):
         goal_pose(robot, ["home"])
@@ -195,7 +202,7 @@ def test_a_pose_that_does_not_exist_is_refused_before_a_motor_is_asked(
 def test_joints_of_which_nobody_knows_how_they_turn_are_not_moved(
     capsys, bus, arm_file
 ):
-    upright = MODEL.replace(f'axis="{arms.Y}"', f'axis="{arms.Z}"', 1)
+    upright = MODEL.replace(f'axis="{small_arms.Y}"', f'axis="{small_arms.Z}"', 1)
     words = "move --yes --to up --rate 100 --channel can0 --model", arm_file(upright)
     err = fail(capsys, 3, *words)
     assert "nobody has verified which way motor 1 (joint joint0)" in err

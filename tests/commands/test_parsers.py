@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from rigs import option_samples
-from rigs.command_line import COMMANDS
-from rigs.refusals import refused
+from rigs.files import option_samples
+from rigs.files.command_line import COMMANDS
+from rigs.files.refusals import refused
 from robot_sysid import __version__, commands
 from robot_sysid.cli import main
 from robot_sysid.commands.arguments import Parser

@@ -8,18 +8,19 @@ import re
 import numpy as np
 import pytest
 
-from rigs import arms, schemas
-from rigs.command_line import OUT
-from rigs.measured_logs import log_of
-from rigs.params import rows
-from rigs.payload_logs import PAYLOAD
+from rigs.arms import small_arms
+from rigs.files import schemas
+from rigs.files.command_line import OUT
+from rigs.files.params import rows
+from rigs.logs.measured_logs import log_of
+from rigs.logs.payload_logs import PAYLOAD
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 JOINT = 'range="-2.5 2.5" frictionloss=".3" damping=".2" armature=".02"'
-AXES = (arms.Z, arms.Y, arms.Y, arms.X)
+AXES = (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X)
 TOOL = (
     '<body name="tool"><inertial pos=".03 -.02 .08" mass="1.2" '
     'fullinertia=".006 .007 .004 .001 .0005 -.0004"/></body>'
@@ -29,8 +30,8 @@ TOOL = (
 @pytest.fixture
 def models(arm_file):
     """An arm without and with a tool."""
-    empty = arm_file(arms.serial_arm(AXES, joint=JOINT), "empty.xml")
-    loaded = arm_file(arms.serial_arm(AXES, joint=JOINT, tip=TOOL), "loaded.xml")
+    empty = arm_file(small_arms.serial_arm(AXES, joint=JOINT), "empty.xml")
+    loaded = arm_file(small_arms.serial_arm(AXES, joint=JOINT, tip=TOOL), "loaded.xml")
     return empty, loaded
 
 
@@ -66,7 +67,7 @@ def test_a_payload_is_found_and_written_into_the_model_as_a_body(command, models
     assert f"Payload of {row[1]} ± {row[2]} kg" in card
     written = compile_model(OUT / "updated_model.xml").mj_model
     assert written.body("gripper").mass[0] == pytest.approx(mass["value"], rel=1e-9)
-    theta = arms.composite_theta(written, written.qpos0, written.body("link3").id)
+    theta = small_arms.composite_theta(written, written.qpos0, written.body("link3").id)
     whole = numbers["link3 with payload", "mass"]["value"]
     assert theta[0] == pytest.approx(whole, rel=1e-9)
     assert whole == pytest.approx(numbers["link3", "mass"]["value"] + mass["value"])

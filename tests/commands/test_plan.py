@@ -9,8 +9,8 @@ from itertools import count
 
 import pytest
 
-from rigs import arms, witness
-from rigs.command_line import COMMANDS, OUT, files_in
+from rigs.arms import small_arms, witness
+from rigs.files.command_line import COMMANDS, OUT, files_in
 from robot_sysid.config import PlanConfig
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
@@ -27,7 +27,7 @@ MOTOR = ("--motor-type DM10010",)
 def test_it_writes_the_trajectory_and_says_what_it_promises(
     command, arm_file, monkeypatch
 ):
-    path = arm_file(arms.THREE)
+    path = arm_file(small_arms.THREE)
     printed = command.run("plan", path, *SINES)
     assert sorted(files_in(path.parent)) == [
         *("arm.xml", "sysid_output", "sysid_output/trajectory.csv"),
@@ -65,7 +65,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
 def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     command, arm_file
 ):
-    path = arm_file(arms.THREE)
+    path = arm_file(small_arms.THREE)
     save = ("--save-trajectory plan.json --excitation-time-budget 0.05",)
     printed = command.run("plan", path, SHORT, *save)
     assert "Designing excitation trajectory (3.0s, 100 Hz)..." in printed.out
@@ -89,7 +89,7 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
 def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
     command, arm_file, monkeypatch
 ):
-    path = arm_file(arms.THREE)
+    path = arm_file(small_arms.THREE)
 
     write = sys.stderr.write
 
@@ -113,7 +113,7 @@ def export(joints):
 
 @pytest.mark.usefixtures("without_prediction")
 def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
-    path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
+    path = arm_file(small_arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
     command.run("plan", path, *SINES, "--save-trajectory plan.json")
     weak = ("--trajectory plan.json --max-torque 0.5", *export(3))
     printed = command.run("plan", path, *weak, code=1)
@@ -127,7 +127,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     command, arm_file
 ):
     """A limit that the motion cannot keep is never left out."""
-    pulled = arms.THREE.replace("<option ", '<option gravity="9.81 0 0" ')
+    pulled = small_arms.THREE.replace("<option ", '<option gravity="9.81 0 0" ')
     # One that can hang down, and one that cannot.
     path = arm_file(pulled)
     stiff = pulled.replace('"-2.5 2.5"', '"-.1 .1"')
@@ -146,7 +146,8 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     assert "the motion starts and ends at another pose" in printed.err
     assert "the straight way in joint space there from the model's pose" in printed.out
     torque = witness.peaks(
-        arms.robot_of(path.read_text()), load_trajectory(path.parent / "plan.json").plan
+        small_arms.robot_of(path.read_text()),
+        load_trajectory(path.parent / "plan.json").plan,
     ).torque
     assert 0.0 < torque[1] <= 0.5
 
@@ -162,7 +163,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
 def test_motions_for_other_purposes_can_be_saved_exported_and_checked_again(
     command, arm_file, purpose
 ):
-    path = arm_file(arms.THREE)
+    path = arm_file(small_arms.THREE)
     printed = command.run("plan", path, purpose, *export(3))
     assert "Keeps all limits for " in printed.out
     assert (OUT / "damiao_trajectory.csv").exists()

@@ -7,8 +7,9 @@ import importlib.util
 
 import pytest
 
-from rigs import arms, measured_logs
-from rigs.command_line import OUT
+from rigs.arms import small_arms
+from rigs.files.command_line import OUT
+from rigs.logs import measured_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.report import page, runs
 from robot_sysid.report.runs import load_run
@@ -18,7 +19,7 @@ RUN = ("--duration 2 --sample-rate 100 --seed 1",)
 
 @pytest.fixture
 def arm(arm_file):
-    return arm_file(arms.THREE)
+    return arm_file(small_arms.THREE)
 
 
 def without(monkeypatch, library):

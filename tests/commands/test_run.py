@@ -8,9 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from rigs import arms, witness
-from rigs.command_line import OUT, words_of
-from rigs.excitation_arms import TUBES
+from rigs.arms import small_arms, witness
+from rigs.arms.excitation_arms import TUBES
+from rigs.files.command_line import OUT, words_of
 from robot_sysid.cli import main
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.pipeline.motions import CheckedPlan
@@ -99,7 +99,7 @@ def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
     limits = ("--max-velocity 0.3 --max-acceleration 1 --workspace", *box)
     limits += ("--keep-out", *plane)
     command.run("plan", arm, *SINES, *limits, *EXPORT, "--save-trajectory new.json")
-    robot = arms.robot_of(TUBES)
+    robot = small_arms.robot_of(TUBES)
     saved = load_trajectory(arm.parent / "new.json").plan
     peaks = witness.peaks(robot, saved)
     assert 0.0 < np.max(peaks.velocity) <= 0.3 and np.max(peaks.acceleration) <= 1.0

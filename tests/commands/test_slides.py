@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.command_line import OUT
-from rigs.core_fits import filter_logs, fit_recordings
-from rigs.measured_logs import log_of, plan_of
+from rigs.arms import small_arms
+from rigs.arms.core_fits import filter_logs, fit_recordings
+from rigs.files.command_line import OUT
+from rigs.logs.measured_logs import log_of, plan_of
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.faults import explanations
 from robot_sysid.diagnosis.gate import slow_findings
@@ -23,16 +23,16 @@ from robot_sysid.records.quantities import Quantity
 from robot_sysid.results.reasons import impossible_joints
 
 FRICTION = 'frictionloss=".3" damping=".2" armature=".05"'
-ARM = arms.world(
-    arms.link(
+ARM = small_arms.world(
+    small_arms.link(
         f'<joint name="lift" type="slide" axis="0 .3 1" range="-.5 .5" {FRICTION}/>',
-        arms.link(
-            arms.hinge("bend", arms.Y, f'range="-2 2" {FRICTION}'),
-            arms.link(
-                arms.hinge("roll", arms.X, f'range="-2 2" {FRICTION}'),
+        small_arms.link(
+            small_arms.hinge("bend", small_arms.Y, f'range="-2 2" {FRICTION}'),
+            small_arms.link(
+                small_arms.hinge("roll", small_arms.X, f'range="-2 2" {FRICTION}'),
                 "",
                 "tip",
-                inertial=arms.TIP,
+                inertial=small_arms.TIP,
             ),
             "forearm",
         ),

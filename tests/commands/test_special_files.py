@@ -10,10 +10,10 @@ import sys
 
 import pytest
 
-from rigs import arms
-from rigs.command_line import COMMANDS
-from rigs.damiao_rig import map_line, swing, trajectory_file
-from rigs.measured_logs import XML, log_of, true_arm
+from rigs.arms import small_arms
+from rigs.files.command_line import COMMANDS
+from rigs.logs.measured_logs import XML, log_of, true_arm
+from rigs.motors.damiao_rig import map_line, swing, trajectory_file
 from robot_sysid.cli import main
 from robot_sysid.commands.arguments import Parser
 from robot_sysid.damiao.joints import write_joint_map
@@ -102,7 +102,7 @@ def files(tmp_path_factory):
     """A folder with what the commands read."""
     folder = tmp_path_factory.mktemp("files")
     (folder / "arm.xml").write_text(XML)
-    (folder / "two.xml").write_text(arms.serial_arm((arms.Z, arms.Y)))
+    (folder / "two.xml").write_text(small_arms.serial_arm((small_arms.Z, small_arms.Y)))
     arm = true_arm()
     log = log_of(arm, noise_torque=0.1)
     write_measurement_csv(folder / "log.csv", arm.joint_names, [log])

@@ -1,13 +1,14 @@
 """What whole commands print, to the letter, and how they end.
 
-``python -m rigs.recorded_results`` records it anew; read the difference before it is committed.
+``python -m rigs.files.recorded_results`` records it anew; read the difference before it is
+committed.
 """
 
 from __future__ import annotations
 
 import pytest
 
-from rigs import releases, transcripts
+from rigs.files import releases, transcripts
 from robot_sysid.errors import EXIT_CODES
 
 pytest.importorskip("can")

@@ -6,8 +6,8 @@ from functools import partial
 
 import pytest
 
-from rigs.clocks import heard_signals
-from rigs.damiao_rig import Rig, swing
+from rigs.motors.clocks import heard_signals
+from rigs.motors.damiao_rig import Rig, swing
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigs.realtime_arm import NEEDS_TERMINALS, NearEnd, slcan_terminal
+from rigs.motors.realtime_arm import NEEDS_TERMINALS, NearEnd, slcan_terminal
 from robot_sysid.damiao.adapters import (
     INTERFACES,
     SERIAL_ADAPTER,

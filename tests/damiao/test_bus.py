@@ -11,7 +11,7 @@ import threading
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import MotorBus
+from rigs.motors.damiao_rig import MotorBus
 from robot_sysid.damiao.bus import inspect_bus, undisturbed_processor
 from robot_sysid.damiao.protocol import REFRESH
 

@@ -10,7 +10,13 @@ from dataclasses import replace
 
 import pytest
 
-from rigs.fault_bench import DAMAGES, SetUp, damage_cases, hold_cases, outcomes_of
+from rigs.motors.fault_bench import (
+    DAMAGES,
+    SetUp,
+    damage_cases,
+    hold_cases,
+    outcomes_of,
+)
 
 IN_DEPTH = "in_depth"
 LOWERED = SetUp(park="rest")

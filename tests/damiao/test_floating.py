@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import arms
-from rigs.command_line import run_motors
-from rigs.damiao_rig import (
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import resting_torque
+from rigs.files.command_line import run_motors
+from rigs.motors.damiao_rig import (
     MotorBus,
     map_line,
     only_asks,
     trajectory_of,
     with_coarse_physics,
 )
-from rigs.incidents import FLOATING
-from rigs.wrong_arms import resting_torque
+from rigs.motors.incidents import FLOATING
 from robot_sysid.commands import Console
 from robot_sysid.commands.motors import holding
 from robot_sysid.damiao.floating import SETTLING, Drift, Floating
@@ -39,8 +39,10 @@ USUAL = "--accept-directions --yes --for 0.8 --rate 100 --channel can0"
 def arm(tip_mass=0.8, dry=0.05, viscous=1.0):
     """A model of two joints that gravity loads, with friction and a mass at its end [kg]."""
     joint = f'armature=".05" damping="{viscous}" frictionloss="{dry}" range="-2.5 2.5"'
-    tip = arms.TIP.replace('mass=".8"', f'mass="{tip_mass}"')
-    return arms.serial_arm((arms.Y, arms.Y), joint=joint, tip_inertial=tip)
+    tip = small_arms.TIP.replace('mass=".8"', f'mass="{tip_mass}"')
+    return small_arms.serial_arm(
+        (small_arms.Y, small_arms.Y), joint=joint, tip_inertial=tip
+    )
 
 
 @dataclass
@@ -77,7 +79,7 @@ def float_test(capsys, monkeypatch, tmp_path, heard):
     """Runs a float test of an arm by a model; ``cause`` happens when it has floated for a while."""
 
     def run(truth, model, options=("--float",), cause=None):
-        mechanism = ArmStepper(arms.robot_of(truth), POSE, 2e-3)
+        mechanism = ArmStepper(small_arms.robot_of(truth), POSE, 2e-3)
         joints = damiao_joints(["DM4310"] * 2, 2)
         bus = MotorBus(joints, mechanism, watchdog=0.15, echo=True)
         bus.open_for_commands(monkeypatch)
@@ -154,7 +156,7 @@ def test_the_arm_is_held_with_its_stiffness_where_it_does_not_float(float_test):
 
 def gravity(model):
     """Return the torque (n,) that holds a model's arm in its pose [N m]."""
-    robot = arms.robot_of(model)
+    robot = small_arms.robot_of(model)
     return resting_torque(robot, np.array([POSE]), robot.thetas)[0]
 
 
@@ -336,7 +338,9 @@ def test_a_simulated_arm_may_be_another_one(capsys, monkeypatch, arm_file):
 
 
 def test_a_model_with_more_joints_than_motors_is_refused(float_test):
-    test = float_test(arm(), arms.serial_arm((arms.Y, arms.Y, arms.X)))
+    test = float_test(
+        arm(), small_arms.serial_arm((small_arms.Y, small_arms.Y, small_arms.X))
+    )
     assert test.code == 2 and "motor 3 (joint joint2): no motor answers" in test.err
     assert only_asks(test.bus.wire.sent)
 

@@ -1,17 +1,19 @@
-"""The table of incidents (``rigs.incidents``), each row played at every fidelity that it has.
+"""The table of incidents (``rigs.motors.incidents``), each row played at every fidelity that it
+has.
 
 Samples show in no time what the watch says, whole runs on simulated motors how far an arm leaves
 its path, how the run ends and what is said, and the program in real time when its motors are off.
-``benchmarks/motor_faults.py`` and ``benchmarks/motor_incidents.py`` print the tables.
+``benchmarks/motors/motor_faults.py`` and ``benchmarks/motors/motor_incidents.py`` print the tables.
 """
 
 from __future__ import annotations
 
 import pytest
 
-from rigs.fault_bench import Case, outcomes_of
-from rigs.incident_arms import SETUPS
-from rigs.incidents import (
+from rigs.files.places import ROOT
+from rigs.motors.fault_bench import Case, outcomes_of
+from rigs.motors.incident_arms import SETUPS
+from rigs.motors.incidents import (
     CASES,
     INCIDENTS,
     PENDULUMS,
@@ -22,11 +24,10 @@ from rigs.incidents import (
     cases_on,
     departure_of,
 )
-from rigs.pendulum_runs import check_stop
-from rigs.places import ROOT
-from rigs.process_incidents import results_of
-from rigs.realtime_arm import NEEDS_TERMINALS
-from rigs.watched_samples import words_of
+from rigs.motors.pendulum_runs import check_stop
+from rigs.motors.process_incidents import results_of
+from rigs.motors.realtime_arm import NEEDS_TERMINALS
+from rigs.motors.watched_samples import words_of
 
 
 def name_of(case):
@@ -116,7 +117,9 @@ def test_an_undisturbed_run_completes_and_departs_from_nothing(outcomes):
 @pytest.mark.slow
 @pytest.mark.parametrize("outcomes", ["kinova"], indirect=True)
 def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
-    page = (ROOT / "benchmarks" / "motor_faults.md").read_text(encoding="utf-8")
+    page = (ROOT / "benchmarks" / "motors" / "motor_faults.md").read_text(
+        encoding="utf-8"
+    )
     rows = [row.split(" | ") for row in page.splitlines()]
     stated = {row[0].strip("| "): row[1:] for row in rows if len(row) == 3}
     for case in CASES:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import map_line, mit_command
+from rigs.motors.damiao_rig import map_line, mit_command
 from robot_sysid.damiao.joints import (
     MOTORS,
     Mounting,

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import lifted_swing, map_line, swing, trajectory_of
-from rigs.places import EXAMPLE
+from rigs.files.places import EXAMPLE
+from rigs.motors.damiao_rig import lifted_swing, map_line, swing, trajectory_of
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.preflight import bus_checks, stops
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.clocks import ScriptedClock
+from rigs.motors.clocks import ScriptedClock
 from robot_sysid.damiao.player import CycleTimer, StopRequest
 from robot_sysid.errors import STOP_SIGNALS, SUSPENSION, HardwareAbort
 

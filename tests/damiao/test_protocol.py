@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import mit_command
+from rigs.motors.damiao_rig import mit_command
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import (

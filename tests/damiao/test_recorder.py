@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import mit_command, state, trajectory_of, undoubted_replies
-from rigs.recordings import read_recording
+from rigs.motors.damiao_rig import mit_command, state, trajectory_of, undoubted_replies
+from rigs.motors.recordings import read_recording
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import Feedback, Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import arms
-from rigs.damiao_rig import swing, trajectory_of
+from rigs.arms import small_arms
+from rigs.motors.damiao_rig import swing, trajectory_of
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import (
     Reference,
@@ -316,7 +316,7 @@ SINKS = st.lists(st.floats(-0.2, 0.2), min_size=2, max_size=2)
 @given(moved=SINKS)
 def test_the_weight_of_an_upright_arm_changes_by_no_more_than_its_slopes_say(moved):
     """Those of all poses of the motion."""
-    robot = arms.robot_of(arms.serial_arm((arms.Y, arms.Y)))
+    robot = small_arms.robot_of(small_arms.serial_arm((small_arms.Y, small_arms.Y)))
     arm = ArmDynamics(robot)
     upright = np.array([[np.pi / 2, 0.0]])
     if arm.weight_slopes(upright)[0] == 0.0:

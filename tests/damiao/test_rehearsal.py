@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigs.rehearsals import ARMS, plan, rehearse
+from rigs.motors.rehearsals import ARMS, plan, rehearse
 
 WORST = 2.5
 """Stated errors that the worst of some thirty numbers may be off."""

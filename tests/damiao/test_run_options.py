@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rigs.option_samples import sample_value
-from rigs.refusals import refused
+from rigs.files.option_samples import sample_value
+from rigs.files.refusals import refused
 from robot_sysid.damiao.execution import (
     LIMIT_OPTIONS,
     MODEL_LIMITS,

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import (
+from rigs.files.places import ROOT
+from rigs.motors.damiao_rig import (
     BIT_RATE,
     Damage,
     Rig,
@@ -20,9 +21,8 @@ from rigs.damiao_rig import (
     restart_motor,
     swing,
 )
-from rigs.motor_causes import slow_adapter
-from rigs.pendulum_runs import states_of
-from rigs.places import ROOT
+from rigs.motors.motor_causes import slow_adapter
+from rigs.motors.pendulum_runs import states_of
 from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import (

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import Damage, MotorBus, mit_command
-from rigs.motor_causes import slow_adapter
+from rigs.motors.damiao_rig import Damage, MotorBus, mit_command
+from rigs.motors.motor_causes import slow_adapter
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, CanFrame, Register, is_motion

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rigs.damiao_rig import mit_command, swing, trajectory_of
+from rigs.motors.damiao_rig import mit_command, swing, trajectory_of
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import (
     KD_MAX,

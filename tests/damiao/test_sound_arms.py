@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from rigs import own_motors
-from rigs.arm_faults import pull, restart_motor, shift_report, table_faults
-from rigs.arms import SEVEN_AXES, robot_of, serial_arm
-from rigs.own_motors import OwnMotor, pack_command, pack_feedback, unpack_command
-from rigs.sound_arms import (
+from rigs.arms.small_arms import SEVEN_AXES, robot_of, serial_arm
+from rigs.arms.wrong_arms import link_torque
+from rigs.motors import own_motors
+from rigs.motors.arm_faults import pull, restart_motor, shift_report, table_faults
+from rigs.motors.own_motors import OwnMotor, pack_command, pack_feedback, unpack_command
+from rigs.motors.sound_arms import (
     STEP,
     Arm,
     JointFriction,
@@ -20,7 +21,7 @@ from rigs.sound_arms import (
     draw_friction,
     drawn_links,
 )
-from rigs.sound_runs import (
+from rigs.motors.sound_runs import (
     COMPLETED,
     SOUND_ARMS,
     STOPPED,
@@ -30,7 +31,6 @@ from rigs.sound_runs import (
     run_arm,
     twin_of,
 )
-from rigs.wrong_arms import link_torque
 from robot_sysid.damiao.protocol import (
     CanFrame,
     MitCommand,

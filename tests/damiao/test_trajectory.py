@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rigs.damiao_rig import export, swing
+from rigs.motors.damiao_rig import export, swing
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.errors import InputError

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import arms
-from rigs.damiao_rig import swing, trajectory_file, trajectory_of
+from rigs.arms import small_arms
+from rigs.motors.damiao_rig import swing, trajectory_file, trajectory_of
 from robot_sysid.damiao.checks.model import torque_checks, with_weight_of
 from robot_sysid.damiao.checks.preflight import limit_checks, weight_checks
 from robot_sysid.damiao.execution import MotorRun, RunOptions
@@ -31,7 +31,7 @@ TENDON = (
 )
 SLOPE = np.array([0.0, 31.25])
 """By how much the weight of MOTION's joints grows as they sink [N m/rad]."""
-DAMPED = arms.serial_arm((arms.Z, arms.Y), extra=TENDON).replace(
+DAMPED = small_arms.serial_arm((small_arms.Z, small_arms.Y), extra=TENDON).replace(
     "<joint name",
     '<joint damping="0.7" frictionloss="0.3" stiffness="2" armature="0.1" name',
 )
@@ -40,7 +40,7 @@ DAMPED = arms.serial_arm((arms.Z, arms.Y), extra=TENDON).replace(
 
 @pytest.fixture
 def robot():
-    return arms.robot_of(DAMPED)
+    return small_arms.robot_of(DAMPED)
 
 
 def with_file(folder, weight, inertia, sha256=None):
@@ -55,8 +55,8 @@ def with_file(folder, weight, inertia, sha256=None):
 @given(speed=st.floats(0.05, 1.0), row=st.integers(0, 100))
 def test_what_is_needed_is_the_models_torque_without_friction(speed, row):
     """Its friction and damping act on no torque that is fed, at any speed."""
-    robot = arms.robot_of(DAMPED)
-    smooth = arms.robot_of(re.sub('(damping|frictionloss)="[^"]*"', "", DAMPED))
+    robot = small_arms.robot_of(DAMPED)
+    smooth = small_arms.robot_of(re.sub('(damping|frictionloss)="[^"]*"', "", DAMPED))
     trajectory = with_weight_of(robot, trajectory_of(MOTION))
     q, qd, qdd = (s[[row]] for s in (trajectory.q, trajectory.qd, trajectory.qdd))
     played = Motion(np.zeros(1), q, speed * qd, speed**2 * qdd)
@@ -155,7 +155,7 @@ def test_what_is_fed_is_held_against_limits(tmp_path):
 
 @pytest.mark.parametrize(("share", "is_said"), [(1.1, False), (1.4, True), (0.6, True)])
 def test_a_file_of_another_model_is_said_but_played(share, is_said):
-    robot = arms.robot_of(arms.serial_arm((arms.Y, arms.Y)))
+    robot = small_arms.robot_of(small_arms.serial_arm((small_arms.Y, small_arms.Y)))
     time, q, qd, _ = MOTION
     trajectory = trajectory_of((time, q + 1.0, qd, q), "DM4310", "DM4310")
     needed = with_weight_of(robot, trajectory)
@@ -176,7 +176,7 @@ def test_a_run_takes_the_models_weight_or_that_beside_its_file(tmp_path, arm_fil
     model = arm_file(DAMPED)
     options = RunOptions.of({"trajectory": path, "model": model})
     planned = MotorRun(options).plan().trajectory
-    expected = with_weight_of(arms.robot_of(DAMPED), planned)
+    expected = with_weight_of(small_arms.robot_of(DAMPED), planned)
     np.testing.assert_allclose(planned.weight, expected.weight)
     values = {"trajectory": path, "record": weight_path(path), "overwrite": True}
     with pytest.raises(InputError, match="would overwrite a file that is read"):

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.log_files import motion
-from rigs.wrong_arms import truth_of
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import truth_of
+from rigs.logs.log_files import motion
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.records.messages import Progress
 
-FOUR_AXES = (arms.Z, arms.Y, arms.Y, arms.X)
+FOUR_AXES = (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X)
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
 SAMPLES = motion(2000)
 NOISY = replace(
@@ -61,4 +61,6 @@ def found_in(truth, **samples):
 @pytest.fixture(scope="session")
 def four_joints():
     """Return a correct log of an arm of four joints with friction and its truth."""
-    return truth_of(arms.robot_of(arms.serial_arm(FOUR_AXES, joint=JOINT)), seed=4)
+    return truth_of(
+        small_arms.robot_of(small_arms.serial_arm(FOUR_AXES, joint=JOINT)), seed=4
+    )

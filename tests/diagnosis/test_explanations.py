@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rigs.wrong_arms import link_torque, resting_torque, truth_of
+from rigs.arms.wrong_arms import link_torque, resting_torque, truth_of
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
 from tests.diagnosis.conftest import findings_of, found_in, slow
 
@@ -89,7 +89,7 @@ TORQUES = {
     "delay": lambda t: np.roll(t.log.tau, 10, axis=0),
 }
 """Names of checks and their messages to a torque (N, 4) for which they have to come; for all
-faults, on public arms, see benchmarks/confusion.py."""
+faults, on public arms, see benchmarks/trust/confusion.py."""
 CLOCK = "clock: too long, or a balancer carries a part of the weight"
 SAMPLES = {
     "order": lambda log: {

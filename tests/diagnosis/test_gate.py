@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.wrong_arms import truth_of
+from rigs.arms.wrong_arms import truth_of
 from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError

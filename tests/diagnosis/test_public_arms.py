@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.places import MODELS
-from rigs.wrong_arms import ARMS, truth_of
+from rigs.arms.wrong_arms import ARMS, truth_of
+from rigs.files.places import MODELS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Level
 from tests.diagnosis.conftest import findings_of, found_in

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.log_files import titles_alone
+from rigs.arms import small_arms
+from rigs.logs.log_files import titles_alone
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.columns import OF_COLUMNS, mistakes
 from robot_sysid.diagnosis.refusal import refuse_for
@@ -19,7 +19,7 @@ from robot_sysid.logs.declarations import read_columns
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level
 
-ROBOT = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:3]))
+ROBOT = small_arms.robot_of(small_arms.serial_arm(small_arms.SEVEN_AXES[:3]))
 NAMES = tuple(ROBOT.joint_names)
 QUANTITIES = ("position", "velocity", "torque")
 PLAIN = [f"{name} {quantity}" for quantity in QUANTITIES for name in NAMES]

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import butter, sosfiltfilt
 
-from rigs import arms
-from rigs.log_files import JOINTS, arm_of
-from rigs.places import MODELS as public_models
-from rigs.wrong_arms import ARMS, DEVIATIONS, draw_arm, truth_of
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import ARMS, DEVIATIONS, draw_arm, truth_of
+from rigs.files.places import MODELS as public_models
+from rigs.logs.log_files import JOINTS, arm_of
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import TRYING, require_acceptable
 from robot_sysid.diagnosis.samples import (
@@ -249,11 +249,17 @@ def test_a_joint_that_stands_still_is_no_fault_and_hides_none(four_joints, joint
 
 
 @pytest.mark.parametrize(
-    "axes", [FOUR_AXES, (arms.Y,), (arms.Z, arms.Y), (arms.Y, arms.X)]
+    "axes",
+    [
+        FOUR_AXES,
+        (small_arms.Y,),
+        (small_arms.Z, small_arms.Y),
+        (small_arms.Y, small_arms.X),
+    ],
 )
 def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     """A light arm with much dry friction, which acts until the very end of its creep to rest."""
-    robot = arms.robot_of(arms.serial_arm(axes, joint=JOINT))
+    robot = small_arms.robot_of(small_arms.serial_arm(axes, joint=JOINT))
     rng = np.random.default_rng(0)
     plan = generate_excitation_trajectory(robot, rng, 12.0)
     motion = next(motion_chunks(plan, 200.0))

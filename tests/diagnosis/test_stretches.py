@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import robot_sysid
-from rigs import arms
-from rigs.log_files import JOINTS
+from rigs.arms import small_arms
+from rigs.logs.log_files import JOINTS
 from robot_sysid.diagnosis.stretches import failed_sensors, leave_out
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
@@ -173,7 +173,7 @@ def test_an_identification_uses_the_rest_and_carries_the_note(four_joints, tmp_p
     path = tmp_path / "log.csv"
     names = four_joints.robot.joint_names
     write_measurement_csv(path, names, [push(four_joints.log)])
-    (tmp_path / "arm.xml").write_text(arms.serial_arm(FOUR_AXES, joint=JOINT))
+    (tmp_path / "arm.xml").write_text(small_arms.serial_arm(FOUR_AXES, joint=JOINT))
     result = robot_sysid.identify(tmp_path / "arm.xml", path)
     assert any("touched the arm" in remark.text for remark in result.remarks)
     error = result.theta[0] - four_joints.theta[0]

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
-from rigs import arms
-from rigs.arms import SEEDS, random_chain, rigid_bodies, robot_of
+from rigs.arms import small_arms
+from rigs.arms.small_arms import SEEDS, random_chain, rigid_bodies, robot_of
 from robot_sysid import spatial
 from robot_sysid.estimate.identifiability import visible_space
 from robot_sysid.records import JointFriction
@@ -36,7 +36,7 @@ ARM_NAMES = [
     "tilted gravity",
     "unlimited",
 ]
-ARMS = {name: robot_of(arms.MODELS[name]) for name in ARM_NAMES}
+ARMS = {name: robot_of(small_arms.MODELS[name]) for name in ARM_NAMES}
 
 
 def plant_with(robot, theta, friction):
@@ -51,7 +51,7 @@ def plant_with(robot, theta, friction):
     Returns:
         The plant, and its true parameters (12,).
     """
-    model, truth = arms.with_link(robot, theta)
+    model, truth = small_arms.with_link(robot, theta)
     coulomb = robot.friction.coulomb.copy()
     viscous = robot.friction.viscous.copy()
     coulomb[-1], viscous[-1] = friction
@@ -60,7 +60,7 @@ def plant_with(robot, theta, friction):
         mj_model=model,
         friction=JointFriction(coulomb, viscous, robot.friction.shared),
     )
-    truth = arms.composite_theta(model, robot.reference_qpos, robot.body_id)
+    truth = small_arms.composite_theta(model, robot.reference_qpos, robot.body_id)
     return plant, np.append(truth, friction)
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.arms import SEEDS
+from rigs.arms.small_arms import SEEDS
 from robot_sysid.dynamics.friction import (
     BEND,
     TERMS,

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs import arms
-from rigs.arms import (
+from rigs.arms import small_arms
+from rigs.arms.small_arms import (
     SEEDS,
     random_chain,
     random_motion,
@@ -34,8 +34,8 @@ SAMPLES = 4
 
 def assert_reproduces(robot, theta, motion):
     """Check tau_rest + Y theta' = inverse dynamics of the model with theta' written into it."""
-    model, composite = arms.with_link(robot, theta)
-    rows, other_torque = arms.rows_and_rest(robot, motion)
+    model, composite = small_arms.with_link(robot, theta)
+    rows, other_torque = small_arms.rows_and_rest(robot, motion)
     link = rows @ composite
     actual = ArmDynamics(robot, model).torque(*motion)
     # 1e-9 of the link's own torque; beside it only the rounding errors of terms that cancel:
@@ -55,30 +55,30 @@ def test_link_and_other_bodies_give_mujocos_torque_on_any_chain(xml, theta, seed
     assert_equals_mujoco(robot, motion)
 
 
-@pytest.mark.parametrize("name", [*arms.MODELS, *arms.NEWER_MODELS])
+@pytest.mark.parametrize("name", [*small_arms.MODELS, *small_arms.NEWER_MODELS])
 def test_link_and_other_bodies_give_mujocos_torque(name):
     try:
-        robot = robot_of({**arms.MODELS, **arms.NEWER_MODELS}[name])
+        robot = robot_of({**small_arms.MODELS, **small_arms.NEWER_MODELS}[name])
     except ValueError:
         pytest.skip("this MuJoCo does not know the attribute")
     rng = default_rng(0)
     for _ in range(3):
         motion = random_motion(rng, robot.n_joints, SAMPLES)
         assert_reproduces(robot, random_theta(rng, 10.0 ** rng.uniform(-2, 1)), motion)
-    if name in arms.MODELS:
+    if name in small_arms.MODELS:
         assert_equals_mujoco(robot, motion)
-    if name in arms.NEWER_MODELS:
+    if name in small_arms.NEWER_MODELS:
         # Rotors and damping of actuators are in the joints.
         is_in_joints = name == "actuator armature"
         assert has_only_armature(robot.mj_model) == is_in_joints
 
 
 def test_the_users_model_is_not_changed():
-    robot = robot_of(arms.COUPLED_FINGERS)
+    robot = robot_of(small_arms.COUPLED_FINGERS)
     masses = robot.mj_model.body_mass.copy()
     flags = robot.mj_model.opt.disableflags
     motion = random_motion(default_rng(0), robot.n_joints, 2)
-    arms.rows_and_rest(robot, motion)
+    small_arms.rows_and_rest(robot, motion)
     ArmDynamics(robot).torque(*motion)
     assert_array_equal(robot.mj_model.body_mass, masses)
     assert robot.mj_model.opt.disableflags == flags
@@ -101,18 +101,26 @@ def plain_torque(xml, motion):
 )
 def test_torque_is_that_of_the_rigid_bodies_alone(name):
     motion = random_motion(default_rng(1), 3, 20)
-    expected = plain_torque(arms.THREE, motion)
-    assert_allclose(plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12)
+    expected = plain_torque(small_arms.THREE, motion)
+    assert_allclose(plain_torque(small_arms.MODELS[name], motion), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("first", [True, False])
 def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
     """In front, the branch splits the chain's addresses into two ranges."""
-    branch = arms.link(arms.hinge("side", arms.Y))
-    bodies = [arms.link(arms.hinge("joint1", arms.X), inertial=arms.TIP), branch]
+    branch = small_arms.link(small_arms.hinge("side", small_arms.Y))
+    bodies = [
+        small_arms.link(
+            small_arms.hinge("joint1", small_arms.X), inertial=small_arms.TIP
+        ),
+        branch,
+    ]
     inside = "".join(bodies[::-1] if first else bodies)
     robot = robot_of(
-        arms.world(arms.link(arms.hinge("joint0", arms.Z), inside)), "joint1"
+        small_arms.world(
+            small_arms.link(small_arms.hinge("joint0", small_arms.Z), inside)
+        ),
+        "joint1",
     )
     assert list(robot.dof_index) == ([0, 2] if first else [0, 1])
     motion = random_motion(default_rng(7), 2, SAMPLES)
@@ -120,13 +128,14 @@ def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
 
 
 def test_held_joints_stay_at_the_home_keyframe():
-    robot = robot_of(arms.HOME_KEYFRAME)
+    robot = robot_of(small_arms.HOME_KEYFRAME)
     motion = random_motion(default_rng(4), robot.n_joints, SAMPLES)
     closed = np.zeros(6)
     wide = np.append(closed[:4], [0.03, 0.01])
-    theta = arms.composite_theta(robot.mj_model, wide, 4)
+    theta = small_arms.composite_theta(robot.mj_model, wide, 4)
     assert (
-        np.max(np.abs(theta - arms.composite_theta(robot.mj_model, closed, 4))) > 1e-4
+        np.max(np.abs(theta - small_arms.composite_theta(robot.mj_model, closed, 4)))
+        > 1e-4
     )
     assert_allclose(robot.prior.theta, theta, rtol=1e-14)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
@@ -134,10 +143,10 @@ def test_held_joints_stay_at_the_home_keyframe():
 
 def test_springs_and_armature_stay_in_the_torque():
     motion = random_motion(default_rng(2), 3, 20)
-    rigid = plain_torque(arms.THREE, motion)
-    springs = plain_torque(arms.SPRINGS, motion) - rigid
+    rigid = plain_torque(small_arms.THREE, motion)
+    springs = plain_torque(small_arms.SPRINGS, motion) - rigid
     assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
-    armature = plain_torque(arms.ARMATURE, motion) - rigid
+    armature = plain_torque(small_arms.ARMATURE, motion) - rigid
     assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
 
 
@@ -197,7 +206,7 @@ def test_slopes_by_positions_equal_differences(xml, seed):
 @given(angle=st.floats(-3.0, 3.0))
 def test_the_weight_of_a_pendulum_grows_by_its_sine_as_it_sinks(angle):
     """m g l cos(q) of a link at q above the level; none where it hangs below it."""
-    robot = arms.robot_of(arms.serial_arm((arms.Y,)))
+    robot = small_arms.robot_of(small_arms.serial_arm((small_arms.Y,)))
     arm = ArmDynamics(robot)
     still = np.zeros((1, 1))
     angles = np.linspace(-np.pi, np.pi, 721)[:, None]

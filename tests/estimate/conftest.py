@@ -2,9 +2,9 @@
 
 import pytest
 
-from rigs.core_fits import fit_logs, fit_recordings
-from rigs.measured_logs import guess_model, log_of, true_arm
-from rigs.payload_logs import TrueArm, four_joint_arm
+from rigs.arms.core_fits import fit_logs, fit_recordings
+from rigs.logs.measured_logs import guess_model, log_of, true_arm
+from rigs.logs.payload_logs import TrueArm, four_joint_arm
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.arms import SEEDS
+from rigs.arms import small_arms
+from rigs.arms.small_arms import SEEDS
 from robot_sysid import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate import bodies
@@ -33,7 +33,7 @@ BODY = np.arange(10)
 def random_body(rng):
     """Return theta of a link of an arm: 0.1 to 20 kg, 1 to 30 cm."""
     mass = 10.0 ** rng.uniform(-1.0, 1.3)
-    return arms.random_theta(rng, mass, 10.0 ** rng.uniform(-2.0, -0.5))
+    return small_arms.random_theta(rng, mass, 10.0 ** rng.uniform(-2.0, -0.5))
 
 
 def sizes_of(theta):

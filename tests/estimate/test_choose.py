@@ -8,12 +8,21 @@ import pytest
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs import arms
-from rigs.arms import SEEDS, rigid_bodies
-from rigs.core_fits import BASIC, NO_PRIORS, NOISE_ONLY, filter_logs, fit_recordings
-from rigs.measured_logs import XML, log_of, plan_of
-from rigs.notes import NoteRecorder
-from rigs.payload_logs import (
+from rigs.arms import small_arms
+from rigs.arms.core_fits import (
+    BASIC,
+    NO_PRIORS,
+    NOISE_ONLY,
+    filter_logs,
+    fit_recordings,
+)
+from rigs.arms.small_arms import SEEDS, rigid_bodies
+from rigs.arms.stepped_arm import stepped_log
+from rigs.arms.wrong_arms import NOISE, draw_arm, noise_samples
+from rigs.files.notes import NoteRecorder
+from rigs.files.releases import since
+from rigs.logs.measured_logs import XML, log_of, plan_of
+from rigs.logs.payload_logs import (
     TrueArm,
     add_noise,
     add_torque,
@@ -21,9 +30,6 @@ from rigs.payload_logs import (
     perturb_body,
     wide_motion,
 )
-from rigs.releases import since
-from rigs.stepped_arm import stepped_log
-from rigs.wrong_arms import NOISE, draw_arm, noise_samples
 from robot_sysid.estimate.choose import (
     dry_friction,
     link_evidence,
@@ -76,14 +82,14 @@ def test_a_shared_motor_is_found_with_its_friction(sign):
 
 @since(3, 3)
 def test_motors_of_the_model_are_estimated_and_no_candidates():
-    wrist = arms.robot_of(arms.SHARED_MOTOR)
+    wrist = small_arms.robot_of(small_arms.SHARED_MOTOR)
     stated, offered = motors_of(wrist, "chain")
     assert [motor.tendon for motor in stated] == [0]
     assert stated[0].name == "joint1-2*joint2"
     assert_array_equal(stated[0].model[:3], [1.5, 0.4, 0.03])
     assert len(offered) == 4 and motors_of(wrist, "terminal") == ((), ())
-    spring = arms.TENDON_SPRING.replace('damping="3"', "")
-    assert motors_of(arms.robot_of(spring), "chain")[0] == ()
+    spring = small_arms.TENDON_SPRING.replace('damping="3"', "")
+    assert motors_of(small_arms.robot_of(spring), "chain")[0] == ()
 
 
 def test_dry_friction_does_not_vanish_where_fading_terms_take_all_of_it():
@@ -180,13 +186,13 @@ def test_rotors_of_joints_that_stand_at_their_turns_are_right():
     armature = np.geomspace(0.5, 0.02, 7)
     damping = np.geomspace(3.0, 0.5, 7)
     option = 'timestep=".002" integrator="implicitfast"'
-    xml = arms.serial_arm(arms.SEVEN_AXES, option=option, joint="")
-    model = arms.compile_xml(xml)
+    xml = small_arms.serial_arm(small_arms.SEVEN_AXES, option=option, joint="")
+    model = small_arms.compile_xml(xml)
     model.dof_armature[:] = armature
     model.dof_damping[:] = damping
     model.dof_frictionloss[:] = np.geomspace(4.0, 0.5, 7)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    robot = arms.robot_of(xml)
+    robot = small_arms.robot_of(xml)
     log = stepped_log(model, robot, 1, 15.0)
     options = EstimationOptions(friction_model=BASIC, **NOISE_ONLY)
     recordings = filter_logs(robot, log, cutoff=None)
@@ -291,14 +297,14 @@ def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
 
 
 def test_the_prior_of_links_widens_where_the_models_are_wrong(plant):
-    model = arms.compile_xml(XML)
+    model = small_arms.compile_xml(XML)
     rng = np.random.default_rng(7)
     for link in plant.links:
-        arms.write_body(model, link.body_id, perturb_body(link.theta, 0.5, rng))
+        small_arms.write_body(model, link.body_id, perturb_body(link.theta, 0.5, rng))
     log = log_of(plant, plan_of(plant, 1, 30.0), noise_torque=0.02)
     wide, narrow = (
         fit_recordings(robot, filter_logs(robot, log)).question.link_scales
-        for robot in (arms.robot_of(model), plant)
+        for robot in (small_arms.robot_of(model), plant)
     )
     assert wide.mass > narrow.mass
     assert wide.centre_of_mass > narrow.centre_of_mass

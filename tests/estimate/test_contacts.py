@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from rigs.core_fits import fit_recordings
-from rigs.payload_logs import (
+from rigs.arms.core_fits import fit_recordings
+from rigs.logs.payload_logs import (
     TrueArm,
     add_noise,
     add_torque,

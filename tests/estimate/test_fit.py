@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs import arms
-from rigs.core_fits import BASIC, NOISE_ONLY, body_error, fit_logs, fit_recordings
-from rigs.measured_logs import seeded_log
-from rigs.payload_logs import (
+from rigs.arms import small_arms
+from rigs.arms.core_fits import BASIC, NOISE_ONLY, body_error, fit_logs, fit_recordings
+from rigs.arms.synthetic_data import autocorrelated
+from rigs.arms.wrong_arms import draw_arm, link_torque
+from rigs.logs.measured_logs import seeded_log
+from rigs.logs.payload_logs import (
     PAYLOAD,
     TrueArm,
     add_noise,
@@ -19,8 +21,6 @@ from rigs.payload_logs import (
     four_joint_xml,
     wide_motion,
 )
-from rigs.synthetic_data import autocorrelated
-from rigs.wrong_arms import draw_arm, link_torque
 from robot_sysid import spatial
 from robot_sysid.estimate.choose import neighbours
 from robot_sysid.estimate.fit import Problem, correlation_times
@@ -60,14 +60,14 @@ def payload_error(fitted, payload=PAYLOAD):
 
 
 @settings(max_examples=2)
-@given(arms.SEEDS)
+@given(small_arms.SEEDS)
 def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
     """Priors act by the square of the noise, and exact data leaves the least noise.
 
     Offsets, whose prior is the narrowest, are zero.
     """
     arm = TrueArm(ROBOT, seed, model_error=0.0, offset=np.zeros(4))
-    arm.thetas[-1] = arms.random_theta(np.random.default_rng(seed))
+    arm.thetas[-1] = small_arms.random_theta(np.random.default_rng(seed))
     recording = arm.recording(wide_motion(seed), False)
     for options, tolerance in ((EstimationOptions(), 1e-6), (EXACT, 1e-8)):
         fitted = fit_recordings(ROBOT, [recording], options)
@@ -78,7 +78,7 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
 
 
 @settings(max_examples=2)
-@given(arms.SEEDS)
+@given(small_arms.SEEDS)
 def test_a_payload_is_recovered_whatever_the_model_has_wrong(seed):
     """Links off by up to 30 %, friction and rotors that the model lacks, other motions.
 
@@ -143,7 +143,7 @@ def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot
 
 def test_what_no_torque_shows_stays_at_the_models_and_has_no_error():
     """Axes parallel to gravity: only four parameters of the last link act."""
-    upright = arms.robot_of(arms.serial_arm((arms.Z,) * 3))
+    upright = small_arms.robot_of(small_arms.serial_arm((small_arms.Z,) * 3))
     arm = TrueArm(upright, 1, model_error=0.0)
     recording = add_noise(arm.recording(wide_motion(1, 3), False), 0.05, 1)
     fitted = fit_recordings(upright, [recording], EXACT)
@@ -158,11 +158,11 @@ def test_what_no_torque_shows_stays_at_the_models_and_has_no_error():
 def test_a_link_that_the_model_holds_to_be_massless_is_found(link):
     """Its 1e-9 kg in the model are no reason to believe that it weighs nothing."""
     tiny = spatial.theta_from_com(1e-9, np.zeros(3), 1e-15 * np.eye(3))
-    model = arms.compile_xml(four_joint_xml())
-    arms.write_body(model, ROBOT.links[link].body_id, tiny)
+    model = small_arms.compile_xml(four_joint_xml())
+    small_arms.write_body(model, ROBOT.links[link].body_id, tiny)
     arm = TrueArm(ROBOT, 1, model_error=0.0)
     recording = add_noise(arm.recording(wide_motion(1), False), 0.02, 0)
-    fitted = fit_recordings(arms.robot_of(model), [recording])
+    fitted = fit_recordings(small_arms.robot_of(model), [recording])
     assert fitted.noise[1] < 0.03 and np.all(np.isfinite(fitted.values))
     if link == 3:
         assert fitted.by_name["m"] == pytest.approx(ROBOT.prior.mass, rel=0.1)
@@ -243,7 +243,7 @@ def test_errors_are_as_large_as_is_stated_where_everything_is_as_the_priors_say(
         assert np.max(np.abs(ratios[kind])) < 4.0, kind
 
 
-@given(arms.SEEDS)
+@given(small_arms.SEEDS)
 def test_rows_of_noise_with_a_memory_count_less(seed):
     white = np.random.default_rng(seed).standard_normal((20000, 2))
     for memory, expected in ((0.0, 1.0), (10.0, 20.0)):

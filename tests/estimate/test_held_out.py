@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.core_fits import filter_logs, fit_recordings
-from rigs.measured_logs import XML, log_of, plan_of
+from rigs.arms import small_arms
+from rigs.arms.core_fits import filter_logs, fit_recordings
+from rigs.logs.measured_logs import XML, log_of, plan_of
 from robot_sysid.estimate.held_out import (
     held_out_logs,
     is_clearly_lower,
@@ -61,7 +61,7 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
 @pytest.fixture(scope="module")
 def other_logs(plant):
     """Return logs of the plant, and of an arm with twice its last link's mass."""
-    heavy = arms.robot_of(XML.replace('mass=".8"', 'mass="1.6"'))
+    heavy = small_arms.robot_of(XML.replace('mass=".8"', 'mass="1.6"'))
     sensors = {"noise_torque": 0.1, "encoder_resolution": 1e-4}
     plan = plan_of(plant, 7)
     return [log_of(arm, plan, 7, **sensors) for arm in (plant, heavy)]
@@ -119,7 +119,7 @@ def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(
 
 
 def test_a_log_of_another_body_is_not_predicted(plant, robot):
-    lighter = arms.robot_of(XML.replace('mass=".8"', 'mass=".5"'))
+    lighter = small_arms.robot_of(XML.replace('mass=".8"', 'mass=".5"'))
     assert max(errors_by_log(robot, [plant, lighter]).values()) > 0.1
     assert errors_by_log(robot, [plant]) == {}
 

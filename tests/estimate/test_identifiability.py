@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from rigs import arms
-from rigs.synthetic_data import arm_equations, sums_of
+from rigs.arms import small_arms
+from rigs.arms.synthetic_data import arm_equations, sums_of
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.identifiability import fit_quality, visible_space
 from robot_sysid.records import Recording
@@ -64,7 +64,7 @@ def test_the_condition_number_is_that_of_the_stacked_regressor_of_the_link_and_i
 
 
 @given(
-    arms.SEEDS,
+    small_arms.SEEDS,
     st.integers(-14, 14),
     st.permutations(range(16)),
     st.integers(0, 4),
@@ -123,7 +123,7 @@ def mujoco_columns(robot, q, qd, qdd):
     columns = np.zeros((*q.shape, 12))
     for k, step in enumerate(np.diag(STEPS)):
         ahead, behind = (
-            ArmDynamics(robot, arms.with_link(robot, theta)[0]).torque(q, qd, qdd)
+            ArmDynamics(robot, small_arms.with_link(robot, theta)[0]).torque(q, qd, qdd)
             for theta in (BODY + step, BODY - step)
         )
         columns[:, :, k] = (ahead - behind) / (2.0 * STEPS[k])
@@ -150,7 +150,7 @@ def visibility_of(columns):
 
 def random_states(robot, rng, joints, samples):
     """Return (q, qd, qdd) of states in which some joints move and the others rest."""
-    q, qd, qdd = arms.random_motion(rng, robot.n_joints, samples)
+    q, qd, qdd = small_arms.random_motion(rng, robot.n_joints, samples)
     moving = np.isin(np.arange(robot.n_joints), joints)
     return np.where(moving, q, robot.reference), qd * moving, qdd * moving
 
@@ -183,14 +183,14 @@ def assert_same(sums, visibility):
 
 
 @given(
-    arms.random_chain(("any", "aligned", "parallel")),
+    small_arms.random_chain(("any", "aligned", "parallel")),
     st.sets(st.integers(0, 14)),
     st.sampled_from(["chain", "terminal"]),
-    arms.SEEDS,
+    small_arms.SEEDS,
 )
 def test_the_package_shows_what_mujoco_and_an_svd_show(xml, joints, torques, seed):
     """From differences of MuJoCo's inverse dynamics, at other states of the moving joints."""
-    robot = arms.robot_of(xml)
+    robot = small_arms.robot_of(xml)
     rng = np.random.default_rng(seed)
     states, other_states = (
         random_states(robot, rng, tuple(joints), 14) for _ in range(2)

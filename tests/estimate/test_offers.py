@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs.core_fits import fit_recordings
-from rigs.payload_logs import TrueArm, add_torque, four_joint_arm
+from rigs.arms.core_fits import fit_recordings
+from rigs.logs.payload_logs import TrueArm, add_torque, four_joint_arm
 from robot_sysid.estimate.fit import Equations, correlation_times, solve
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.rows import row_chunks

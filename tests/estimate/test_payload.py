@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.core_fits import fit_recordings
-from rigs.payload_logs import PAYLOAD, TrueArm, four_joint_arm
+from rigs.arms.core_fits import fit_recordings
+from rigs.logs.payload_logs import PAYLOAD, TrueArm, four_joint_arm
 from robot_sysid import spatial
 from robot_sysid.estimate.payload import contradiction
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rigs import arms
-from rigs.core_fits import filter_logs, fit_recordings
-from rigs.file_judge import torque_error
-from rigs.measured_logs import log_of, plan_of
+from rigs.arms import small_arms
+from rigs.arms.core_fits import filter_logs, fit_recordings
+from rigs.files.file_judge import torque_error
+from rigs.logs.measured_logs import log_of, plan_of
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
@@ -70,7 +70,7 @@ def compiled(robot, file):
     """Return the MuJoCo model as it would be written."""
     model = copy.copy(robot.mj_model)
     for link, theta in zip(robot.links, file.thetas):
-        arms.write_body(model, link.body_id, theta)
+        small_arms.write_body(model, link.body_id, theta)
     for term, field in (
         ("coulomb", model.dof_frictionloss),
         ("viscous", model.dof_damping),

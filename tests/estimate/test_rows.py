@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.arms import SEEDS
-from rigs.payload_logs import TrueArm, four_joint_arm, wide_motion
+from rigs.arms.small_arms import SEEDS
+from rigs.logs.payload_logs import TrueArm, four_joint_arm, wide_motion
 from robot_sysid.errors import InputError
 from robot_sysid.estimate import rows as rows_module
 from robot_sysid.estimate.rows import block_numbers, row_chunks

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.payload_logs import (
+from rigs.arms import small_arms
+from rigs.files.releases import since
+from rigs.logs.payload_logs import (
     UNFILTERED,
     exact_recording,
     four_joint_arm,
     perturb_body,
     wide_motion,
 )
-from rigs.releases import since
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
@@ -31,7 +31,7 @@ from robot_sysid.spatial import PARAMETER_NAMES
 
 ARMS = {
     "four": four_joint_arm('range="-2 2" armature=".3"'),
-    "slide": arms.robot_of(arms.SLIDE_IN_CHAIN),
+    "slide": small_arms.robot_of(small_arms.SLIDE_IN_CHAIN),
 }
 MEAN_OF_SEVEN = replace(UNFILTERED, kernel=np.full(7, 1.0 / 7.0), step=3)
 LINEARISED = (
@@ -93,7 +93,7 @@ def torque_of(arm, motion, values, gravity, loaded):
     model = copy.copy(robot.mj_model)
     for link, theta in zip(robot.links, point.carried(loaded)):
         if link.has_mass:
-            arms.write_body(model, link.body_id, theta)
+            small_arms.write_body(model, link.body_id, theta)
     model.dof_armature[:] = 0.0
     value_of = {**dict.fromkeys(arm.names, 0.0), **values}
     angles = np.array([value_of.get("tilt_1", 0.0), value_of.get("tilt_2", 0.0)])
@@ -139,7 +139,7 @@ def record(motion, tau, arm, loaded=True, low_pass=UNFILTERED):
     [("four", "chain", True), ("four", "terminal", True), ("slide", "chain", False)],
 )
 @settings(max_examples=1)
-@given(seed=arms.SEEDS)
+@given(seed=small_arms.SEEDS)
 def test_each_column_is_the_derivative_of_the_torque(name, torques, loaded, seed):
     arm = arm_of(ARMS[name], torques)
     rng = np.random.default_rng(seed)
@@ -176,7 +176,7 @@ def delay_column(arm, motion, values, gravity, loaded):
     return -np.gradient(torque, motion.time, axis=0)
 
 
-@given(arms.SEEDS)
+@given(small_arms.SEEDS)
 def test_friction_passes_the_filter_that_the_torque_has_passed(seed):
     arm = arm_of(ARMS["four"])
     values = random_values(arm, np.random.default_rng(seed))
@@ -192,19 +192,23 @@ def test_friction_passes_the_filter_that_the_torque_has_passed(seed):
     assert_allclose(arm.torque(rows, start, dry) - known, measured, atol=1e-9)
 
 
-CURVED_MOTOR = arms.SHARED_MOTOR.replace('damping=".4"', 'damping=".9 -.3 .04"')
-CURVED = {"nonlinear damping": arms.NONLINEAR_DAMPING, "curved motor": CURVED_MOTOR}
+CURVED_MOTOR = small_arms.SHARED_MOTOR.replace('damping=".4"', 'damping=".9 -.3 .04"')
+CURVED = {
+    "nonlinear damping": small_arms.NONLINEAR_DAMPING,
+    "curved motor": CURVED_MOTOR,
+}
 
 
 @pytest.mark.parametrize(
-    "name", [*arms.MODELS, *(pytest.param(name, marks=since(3, 7)) for name in CURVED)]
+    "name",
+    [*small_arms.MODELS, *(pytest.param(name, marks=since(3, 7)) for name in CURVED)],
 )
 def test_the_models_parameters_make_the_models_torque(name):
     """Inverse dynamics by MuJoCo with all springs and tendons, and friction added."""
-    robot = arms.robot_of({**arms.MODELS, **CURVED}[name])
+    robot = small_arms.robot_of({**small_arms.MODELS, **CURVED}[name])
     motors, _ = motors_of(robot, "chain")
     arm = ArmTerms(robot, motors=motors)
-    motion = arms.seeded_motion(0, robot.n_joints)
+    motion = small_arms.seeded_motion(0, robot.n_joints)
     rows = record(motion, 0.0, arm)
     friction = robot.friction.coulomb * np.sign(motion.qd)
     expected = ArmDynamics(robot).torque(motion.q, motion.qd, motion.qdd) + friction

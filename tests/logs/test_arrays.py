@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
-from rigs import recorded
-from rigs.log_files import (
+from rigs.logs import recorded
+from rigs.logs.log_files import (
     JOINTS,
     assert_read,
     assert_refused,

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rigs.log_files import (
+from rigs.files.refusals import refused
+from rigs.logs.log_files import (
     JOINTS,
     TITLES,
     limits,
@@ -19,7 +20,6 @@ from rigs.log_files import (
     table,
     write,
 )
-from rigs.refusals import refused
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
 RUBBISH = (9, 20, 31, 42, 53)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.log_files import arm_of, titles_alone
-from rigs.refusals import refused
+from rigs.files.refusals import refused
+from rigs.logs.log_files import arm_of, titles_alone
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices

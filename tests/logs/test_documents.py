@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from rigs import recorded
-from rigs.log_files import (
+from rigs.logs import recorded
+from rigs.logs.log_files import (
     JOINTS,
     assert_read,
     assert_refused,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.log_files import JOINTS, arm_of, assert_samples, motion, notes_of, write
-from rigs.refusals import refused
+from rigs.files.refusals import refused
+from rigs.logs.log_files import JOINTS, arm_of, assert_samples, motion, notes_of, write
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_logs
 from robot_sysid.records import Recording

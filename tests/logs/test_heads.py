@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
-from rigs import arms
-from rigs.log_files import (
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import truth_of
+from rigs.files.refusals import refused
+from rigs.logs.log_files import (
     arm_of,
     assert_refused,
     assert_samples,
@@ -21,8 +23,6 @@ from rigs.log_files import (
     titles_alone,
     write_signals,
 )
-from rigs.refusals import refused
-from rigs.wrong_arms import truth_of
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnFinder
@@ -117,8 +117,8 @@ def check_quantities(block: Block, _: Path) -> None:
 
 
 def check_suggestion(block: Block, folder: Path) -> None:
-    arm = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
-    truth = truth_of(arms.robot_of(arm), 2)
+    arm = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+    truth = truth_of(small_arms.robot_of(arm), 2)
     robot = truth.robot
     if "joints" in block:
         robot = replace(robot, joint_names=tuple(joints_of(block)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rigs.refusals import refused
+from rigs.files.refusals import refused
 from robot_sysid.logs.joint_names import joint_note, match_joint_names
 
 

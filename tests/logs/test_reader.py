@@ -13,8 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs import recorded
-from rigs.log_files import (
+from rigs.files.model_files import LFS_POINTER, write_files
+from rigs.files.refusals import refused
+from rigs.logs import recorded
+from rigs.logs.log_files import (
     JOINTS,
     arm_of,
     assert_read,
@@ -25,8 +27,6 @@ from rigs.log_files import (
     table,
     write,
 )
-from rigs.model_files import LFS_POINTER, write_files
-from rigs.refusals import refused
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, documents, reader, ros_bag
 from robot_sysid.records.messages import Progress
@@ -83,8 +83,8 @@ FILES_AND_CALLS = {
     documents.excel_table: ("Excel", "openpyxl.load_workbook", STACK),
     documents.mcap_table: ("MCAP of JSON", "mcap.reader.make_reader", STACK),
 }
-"""Reader to the form of ``rigs.recorded`` that it reads, and two functions of libraries: that it
-calls as the log is opened, and as its blocks are read."""
+"""Reader to the form of ``rigs.logs.recorded`` that it reads, and two functions of libraries: that
+it calls as the log is opened, and as its blocks are read."""
 
 
 def test_every_form_is_tested():

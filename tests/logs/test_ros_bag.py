@@ -8,15 +8,15 @@ from itertools import chain
 
 import numpy as np
 
-from rigs import recorded
-from rigs.log_files import (
+from rigs.files.model_files import make_pipe
+from rigs.logs import recorded
+from rigs.logs.log_files import (
     JOINTS,
     assert_read,
     assert_refused,
     motion,
     read_measurements,
 )
-from rigs.model_files import make_pipe
 
 DATA = motion(60)
 

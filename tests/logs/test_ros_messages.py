@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigs.driver_logs import START_NS, kortex_feedback, lbr_states
-from rigs.recorded import typestore
+from rigs.logs.driver_logs import START_NS, kortex_feedback, lbr_states
+from rigs.logs.recorded import typestore
 from robot_sysid.logs.ros_messages import KORTEX, LBR, READERS, read_stamp
 from robot_sysid.records import Recording
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rigs.log_files import titles_alone
-from rigs.refusals import refused
+from rigs.files.refusals import refused
+from rigs.logs.log_files import titles_alone
 from robot_sysid.logs.ros_bag import Topic, choose_topic
 from robot_sysid.logs.ros_messages import DYNAMIC, STATE
 

@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.command_line import OUT, CommandLine
-from rigs.log_files import JOINTS, arm_of, limits, motion, open_log, write_signals
-from rigs.refusals import refused
-from rigs.wrong_arms import truth_of
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import truth_of
+from rigs.files.command_line import OUT, CommandLine
+from rigs.files.refusals import refused
+from rigs.logs.log_files import JOINTS, arm_of, limits, motion, open_log, write_signals
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.wording import in_python
 
-ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+ARM = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
 
 
 @pytest.fixture(scope="module")
 def truth():
     """An arm of four joints, joint0 to joint3, and a log of it."""
-    return truth_of(arms.robot_of(ARM), 2)
+    return truth_of(small_arms.robot_of(ARM), 2)
 
 
 def test_in_python_the_line_is_an_argument(truth, tmp_path):

@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.log_files import (
+from rigs.files.refusals import refused
+from rigs.logs.log_files import (
     JOINTS,
     assert_refused,
     assert_samples,
@@ -21,7 +22,6 @@ from rigs.log_files import (
     table,
     write,
 )
-from rigs.refusals import refused
 from robot_sysid.logs.table import ROWS, make_table
 from robot_sysid.signals.resampling import split_at_gaps
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rigs.log_files import (
+from rigs.files.refusals import refused
+from rigs.logs.log_files import (
     JOINTS,
     TITLES,
     assert_read,
@@ -21,7 +22,6 @@ from rigs.log_files import (
     table,
     write,
 )
-from rigs.refusals import refused
 from robot_sysid.errors import InputError
 from robot_sysid.logs.text import plain_table, read_dialect, write_measurement_csv
 from robot_sysid.records import Recording

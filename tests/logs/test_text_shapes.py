@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs import recorded
-from rigs.log_files import (
+from rigs.logs import recorded
+from rigs.logs.log_files import (
     JOINTS,
     TITLES,
     assert_read,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-from rigs import urdf
-from rigs.model_files import LFS_POINTER, TETRAHEDRON, make_pipe, write_files
-from rigs.refusals import refused
+from rigs.files import urdf
+from rigs.files.model_files import LFS_POINTER, TETRAHEDRON, make_pipe, write_files
+from rigs.files.refusals import refused
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document, reference
 from robot_sysid.model.compilation import compile_model

@@ -6,8 +6,8 @@ import hashlib
 
 import pytest
 
-from rigs.model_files import ARM, document_of, make_pipe, write_files
-from rigs.refusals import refused
+from rigs.files.model_files import ARM, document_of, make_pipe, write_files
+from rigs.files.refusals import refused
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import read_document
 

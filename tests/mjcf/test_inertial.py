@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rigs.arms import SEEDS, random_rotation, random_theta
-from rigs.model_files import ARM, document_of, write_and_verify, write_files
-from rigs.refusals import refused
-from rigs.releases import IS_PRINCIPAL, since
+from rigs.arms.small_arms import SEEDS, random_rotation, random_theta
+from rigs.files.model_files import ARM, document_of, write_and_verify, write_files
+from rigs.files.refusals import refused
+from rigs.files.releases import IS_PRINCIPAL, since
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import put_inertial, read_document

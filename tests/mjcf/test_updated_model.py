@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from rigs import arms, urdf
-from rigs.arms import random_theta
-from rigs.model_files import (
+from rigs.arms import small_arms
+from rigs.arms.small_arms import random_theta
+from rigs.files import urdf
+from rigs.files.model_files import (
     ARM,
     INERTIAL,
     TETRAHEDRON,
@@ -23,9 +24,9 @@ from rigs.model_files import (
     write_and_verify,
     write_files,
 )
-from rigs.places import SHARED
-from rigs.refusals import refused
-from rigs.releases import IS_PRINCIPAL, since
+from rigs.files.places import SHARED
+from rigs.files.refusals import refused
+from rigs.files.releases import IS_PRINCIPAL, since
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
@@ -150,7 +151,7 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     original = compile_model(path).mj_model
     label = terminal_label(original)
     theta = (
-        arms.composite_theta(original, original.qpos0, original.body(label).id)
+        small_arms.composite_theta(original, original.qpos0, original.body(label).id)
         + 0.2 * THETA
     )
     first = tmp_path / "a" / path.name

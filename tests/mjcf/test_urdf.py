@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rigs import urdf
-from rigs.model_files import document_of, write_files
-from rigs.refusals import refused
+from rigs.files import urdf
+from rigs.files.model_files import document_of, write_files
+from rigs.files.refusals import refused
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.arms import SEEDS, random_theta, seeded_motion
-from rigs.model_files import write_and_verify
-from rigs.places import MODELS
-from rigs.releases import IS_PRINCIPAL
+from rigs.arms import small_arms
+from rigs.arms.small_arms import SEEDS, random_theta, seeded_motion
+from rigs.files.model_files import write_and_verify
+from rigs.files.places import MODELS
+from rigs.files.releases import IS_PRINCIPAL
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
@@ -45,12 +45,12 @@ def source_of(name):
         return MODELS / name
     FOLDERS.append(tempfile.TemporaryDirectory())
     path = Path(FOLDERS[-1].name) / "model.xml"
-    path.write_text(arms.MODELS[name])
+    path.write_text(small_arms.MODELS[name])
     return path
 
 
 FOLDERS: list[tempfile.TemporaryDirectory] = []
-NAMES = [*arms.MODELS, *(name for name in PUBLIC if (MODELS / name).exists())]
+NAMES = [*small_arms.MODELS, *(name for name in PUBLIC if (MODELS / name).exists())]
 
 
 @cache

@@ -8,9 +8,9 @@ from xml.sax.saxutils import quoteattr
 import pytest
 from numpy.testing import assert_array_equal
 
-from rigs import urdf
-from rigs.model_files import write_files
-from rigs.refusals import refused
+from rigs.files import urdf
+from rigs.files.model_files import write_files
+from rigs.files.refusals import refused
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.parser import load_robot_model

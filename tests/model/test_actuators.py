@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.releases import MUJOCO, since
+from rigs.files.releases import MUJOCO, since
 from robot_sysid.model import actuators as module
 
 JOINTS = ("a", "b", "c")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs import arms
-from rigs.arms import Y, Z, hinge, link, robot_of, serial_arm, world
-from rigs.refusals import refused
+from rigs.arms import small_arms
+from rigs.arms.small_arms import Y, Z, hinge, link, robot_of, serial_arm, world
+from rigs.files.refusals import refused
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
@@ -23,9 +23,9 @@ from robot_sysid.model.bodies import (
 )
 
 
-@pytest.mark.parametrize("name", sorted(arms.MODELS))
+@pytest.mark.parametrize("name", sorted(small_arms.MODELS))
 def test_links_weigh_what_the_first_joint_moves_and_reach_to_their_centre_of_mass(name):
-    robot = arms.robot_of(arms.MODELS[name])
+    robot = small_arms.robot_of(small_arms.MODELS[name])
     model = robot.mj_model
     first = robot.links[0].body_id
     masses = [link.theta[0] for link in robot.links]
@@ -38,9 +38,9 @@ def test_links_weigh_what_the_first_joint_moves_and_reach_to_their_centre_of_mas
 
 @pytest.mark.parametrize("name", ["coupled fingers", "home keyframe"])
 def test_a_body_has_what_was_written_into_it(name):
-    model = arms.robot_of(arms.MODELS[name]).mj_model
+    model = small_arms.robot_of(small_arms.MODELS[name]).mj_model
     for body in range(1, model.nbody):
-        theta = arms.random_theta(np.random.default_rng(body))
+        theta = small_arms.random_theta(np.random.default_rng(body))
         write_body(model, body, theta)
         assert_allclose(body_theta(model, body), theta, rtol=1e-12, atol=1e-14)
 
@@ -166,7 +166,9 @@ def test_neighbours_touch_by_design_but_no_table_and_no_other_links():
 
 def test_more_contacts_than_mujoco_holds_are_a_matter_of_the_model():
     crowd = '<body><geom size=".1"/></body>' * 1500
-    bodies = arms.serial_bodies((arms.Y,))
-    robot = arms.robot_of(arms.world(bodies + crowd, extra='<size memory="3M"/>'))
+    bodies = small_arms.serial_bodies((small_arms.Y,))
+    robot = small_arms.robot_of(
+        small_arms.world(bodies + crowd, extra='<size memory="3M"/>')
+    )
     with refused("<size memory=", ModelError):
         update_contacts(robot.mj_model, mujoco.MjData(robot.mj_model))

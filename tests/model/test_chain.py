@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from numpy.testing import assert_array_equal
 
-from rigs import arms
-from rigs.arms import (
+from rigs.arms import small_arms
+from rigs.arms.small_arms import (
     X,
     Y,
     Z,
@@ -19,7 +19,7 @@ from rigs.arms import (
     serial_bodies,
     world,
 )
-from rigs.refusals import refused
+from rigs.files.refusals import refused
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.model import chain as module
 
@@ -62,7 +62,7 @@ def long_finger(side, y):
     ],
 )
 def test_the_last_joint_before_the_tree_branches_is_found(name, expected):
-    assert terminal_of(arms.MODELS[name]) == expected
+    assert terminal_of(small_arms.MODELS[name]) == expected
 
 
 HAND = long_finger("left", 0.1) + long_finger("right", -0.1)
@@ -183,7 +183,7 @@ def test_a_floating_base_is_refused():
 
 def test_a_joint_that_is_not_the_last_of_its_body_is_refused_and_the_last_named():
     with refused("choose roll", ModelError):
-        module.resolve_joint(compile_xml(arms.SHARED_BODIES), "yaw")
+        module.resolve_joint(compile_xml(small_arms.SHARED_BODIES), "yaw")
 
 
 PLANE = (("slide", X), ("slide", Y), ("hinge", Z))

@@ -12,10 +12,10 @@ from hypothesis import given
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from rigs import urdf
-from rigs.arms import SEEDS, random_theta
-from rigs.model_files import INERTIAL, TETRAHEDRON, write_files
-from rigs.refusals import refused
+from rigs.arms.small_arms import SEEDS, random_theta
+from rigs.files import urdf
+from rigs.files.model_files import INERTIAL, TETRAHEDRON, write_files
+from rigs.files.refusals import refused
 from robot_sysid import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com

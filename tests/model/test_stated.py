@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import urdf
-from rigs.arms import compile_xml, robot_of
-from rigs.places import MODELS
-from rigs.releases import since
+from rigs.arms.small_arms import compile_xml, robot_of
+from rigs.files import urdf
+from rigs.files.places import MODELS
+from rigs.files.releases import since
 from robot_sysid import spatial
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import KINDS

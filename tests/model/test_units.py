@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import urdf
-from rigs.refusals import refused
+from rigs.files import urdf
+from rigs.files.refusals import refused
 from robot_sysid.errors import ModelError
 from robot_sysid.parser import load_robot_model
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import assume, given
 from numpy.random import default_rng
 
-from rigs import witness
-from rigs.arms import SEEDS, X, Y, Z, hinge, link, world
-from rigs.excitation_arms import TUBES_AND_POST, robot
+from rigs.arms import witness
+from rigs.arms.excitation_arms import TUBES_AND_POST, robot
+from rigs.arms.small_arms import SEEDS, X, Y, Z, hinge, link, world
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.clearance import KEPT_SHARE, Clearance, unguarded_links

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from rigs import arms
-from rigs.excitation_arms import robot
+from rigs.arms import small_arms
+from rigs.arms.excitation_arms import robot
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.motion.elsewhere import MOTIONS, made_up_motions, sums_elsewhere
 
 ARM = robot(
-    arms.serial_arm(
-        (arms.Z, arms.Y, arms.X),
+    small_arms.serial_arm(
+        (small_arms.Z, small_arms.Y, small_arms.X),
         joint='range="-2.5 1.5" frictionloss=".4" armature=".05" damping=".1" stiffness="3"',
     )
 )

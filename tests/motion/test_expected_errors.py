@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 
-from rigs import arms
-from rigs.excitation_arms import link_covariance, make_problem, robot
+from rigs.arms import small_arms
+from rigs.arms.excitation_arms import link_covariance, make_problem, robot
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
@@ -26,8 +26,8 @@ from tests.motion.test_prediction import best_plan
 RATE = 250.0
 SIGMA = 0.01
 # With rotors: an estimate that stops at none spreads less than it could.
-ARM = arms.serial_arm(
-    (arms.Z, arms.Y, arms.Y, arms.X),
+ARM = small_arms.serial_arm(
+    (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X),
     joint='range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"',
 )
 PLAN = best_plan(ARM, duration=10.0)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.excitation_arms import make_problem, robot
+from rigs.arms import small_arms
+from rigs.arms.excitation_arms import make_problem, robot
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.terms import DELAY, LAST_LINK, LINKS, SCALES
 from robot_sysid.motion import AimOptions
@@ -31,7 +31,9 @@ from tests.motion.test_prediction import best_plan
 
 RATE = 250.0
 JOINT = 'range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"'
-ARM = arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X), joint=JOINT)
+ARM = small_arms.serial_arm(
+    (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X), joint=JOINT
+)
 PLAN = best_plan(ARM, duration=10.0)
 USUAL = EstimationOptions()
 # Links and the friction that a file holds are not as the model says, and nothing else.
@@ -113,8 +115,8 @@ def test_all_terms_are_known_as_well_as_they_usually_are():
 
 
 def test_a_joint_that_carries_nothing_has_friction_all_the_same():
-    problem = make_problem(arms.THREE)
-    fitted = expected_fit(problem, best_plan(arms.THREE), RATE, USUAL, FILE)
+    problem = make_problem(small_arms.THREE)
+    fitted = expected_fit(problem, best_plan(small_arms.THREE), RATE, USUAL, FILE)
     judge = Judgement.of(problem, fitted.arm)
     model = model_values(judge.arm, judge.sums.names)
     of_model = np.sqrt(judge.sums.squared_residuals(model) / judge.sums.row_counts)
@@ -141,9 +143,9 @@ def test_a_file_keeps_what_it_is_told_to():
 
 
 def test_hinges_are_judged_at_usual_speeds_and_slides_at_their_own():
-    problem = make_problem(arms.SLIDE_IN_CHAIN)
+    problem = make_problem(small_arms.SLIDE_IN_CHAIN)
     fast = replace(problem, limits=replace(problem.limits, velocity=np.full(4, 5.0)))
-    is_slide = robot(arms.SLIDE_IN_CHAIN).is_slide
+    is_slide = robot(small_arms.SLIDE_IN_CHAIN).is_slide
     assert_allclose(judging_speeds(fast), np.where(is_slide, 5.0, 2.0))
     slow = replace(problem, limits=replace(problem.limits, velocity=np.full(4, 0.5)))
     assert_allclose(judging_speeds(slow), 0.5)

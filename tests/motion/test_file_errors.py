@@ -8,7 +8,7 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs.arms import SEEDS
+from rigs.arms.small_arms import SEEDS
 from robot_sysid.motion.file_errors import FileErrors
 
 SIZE = 7

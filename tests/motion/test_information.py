@@ -7,9 +7,9 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.arms import random_motion
-from rigs.excitation_arms import known_arm, link_covariance, make_problem, slope
+from rigs.arms import small_arms
+from rigs.arms.excitation_arms import known_arm, link_covariance, make_problem, slope
+from rigs.arms.small_arms import random_motion
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.motion.information import Criterion, FileKnowledge, PriorKnowledge
@@ -68,7 +68,7 @@ def dense_covariance(problem, knowledge, motion):
 
 
 @pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize("xml", [arms.THREE, arms.SLIDE_IN_CHAIN])
+@pytest.mark.parametrize("xml", [small_arms.THREE, small_arms.SLIDE_IN_CHAIN])
 def test_the_value_is_the_volume_of_a_dense_fits_covariance(xml, target):
     problem = make_problem(xml)
     knowledge = knowledge_of(problem, target)
@@ -88,7 +88,7 @@ def test_the_value_is_the_volume_of_a_dense_fits_covariance(xml, target):
 @pytest.mark.parametrize("target", [*TARGETS, "arm"])
 def test_the_gradient_equals_differences(target):
     rng = default_rng(0)
-    problem = make_problem(arms.THREE)
+    problem = make_problem(small_arms.THREE)
     criterion = Criterion(problem, knowledge_of(problem, target), smoothing=0.15)
     motion, direction = rng.normal(size=(2, 3, 40, 3))
     value, gradient = criterion.with_gradient(tuple(motion))
@@ -99,7 +99,7 @@ def test_the_gradient_equals_differences(target):
 
 
 def test_what_no_motion_shows_does_not_count_and_what_this_one_hides_is_infinite():
-    problem = make_problem(arms.SEVEN, "terminal")
+    problem = make_problem(small_arms.SEVEN, "terminal")
     criterion = Criterion(problem, known_arm(problem))
     assert criterion.visible.shape == (10, 7)
     motion = tuple(default_rng(0).normal(size=(3, 50, 7)))
@@ -111,7 +111,7 @@ def test_what_no_motion_shows_does_not_count_and_what_this_one_hides_is_infinite
 
 
 def test_a_file_is_worth_less_where_the_arm_stands_still_and_nothing_by_noise_alone():
-    problem = make_problem(arms.THREE)
+    problem = make_problem(small_arms.THREE)
     knowledge = knowledge_of(problem, "arm")
     criterion = Criterion(problem, knowledge)
     motion = random_motion(default_rng(1), problem.n_joints, 200)
@@ -126,7 +126,7 @@ def test_a_file_is_worth_less_where_the_arm_stands_still_and_nothing_by_noise_al
 
 def test_constant_torques_are_no_errors_of_a_file():
     """Sensors have offsets, which the judge of a file takes off, too."""
-    problem = make_problem(arms.THREE)
+    problem = make_problem(small_arms.THREE)
     motion = random_motion(default_rng(1), problem.n_joints, 200)
     values = []
     for size in (0.1, 10.0):

@@ -10,9 +10,9 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from rigs import arms
-from rigs.arms import SEEDS
-from rigs.excitation_arms import TUBES_AND_POST, make_problem
+from rigs.arms import small_arms
+from rigs.arms.excitation_arms import TUBES_AND_POST, make_problem
+from rigs.arms.small_arms import SEEDS
 from robot_sysid.motion.clearance import Closest
 from robot_sysid.motion.limit_check import check_limits, first_contact, keeps_limits
 from robot_sysid.motion.trajectories import LineTrajectory
@@ -33,7 +33,7 @@ def plan_of(problem, seed, size):
     return series(problem.rest, size * default_rng(seed).normal(size=shape))
 
 
-THREE = make_problem(arms.THREE)
+THREE = make_problem(small_arms.THREE)
 
 
 @given(SEEDS, st.floats(0.02, 0.6))

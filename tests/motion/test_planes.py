@@ -6,8 +6,8 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs.arms import SEEDS, X, Z, compile_xml, hinge, link, world
-from rigs.excitation_arms import robot
+from rigs.arms.excitation_arms import robot
+from rigs.arms.small_arms import SEEDS, X, Z, compile_xml, hinge, link, world
 from robot_sysid.motion.planes import Planes, tool_corners
 
 POINTS = default_rng(3).normal(size=(30, 3)) * [0.05, 0.2, 0.3]

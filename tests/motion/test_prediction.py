@@ -6,8 +6,8 @@ import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.excitation_arms import make_design, make_problem, robot
+from rigs.arms import small_arms
+from rigs.arms.excitation_arms import make_design, make_problem, robot
 from robot_sysid.motion.expected_errors import centre_slopes
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.prediction import limit_lines, motion_lines
@@ -23,7 +23,7 @@ def best_plan(xml, seed=0, **changes):
 
 
 def test_slopes_of_the_centre_of_mass_equal_differences():
-    theta = make_problem(arms.SEVEN).robot.prior.theta
+    theta = make_problem(small_arms.SEVEN).robot.prior.theta
     step = 1e-6 * np.eye(10)[:, :4]
     ahead, behind = (theta[:, None] + signed for signed in (step, -step))
     change = ahead[1:4] / ahead[0] - behind[1:4] / behind[0]
@@ -43,8 +43,8 @@ def sines(xml, seed=0):
 
 
 def test_a_distance_that_is_not_known_is_not_called_large():
-    problem = make_problem(arms.THREE)
-    plan = sines(arms.THREE).scale_amplitudes(0.1)
+    problem = make_problem(small_arms.THREE)
+    plan = sines(small_arms.THREE).scale_amplitudes(0.1)
     lines = limit_lines(problem, plan, check_limits(problem, plan))
     first, second, third = lines
     assert first == "Keeps all limits for 2.0 s"
@@ -53,7 +53,7 @@ def test_a_distance_that_is_not_known_is_not_called_large():
 
 
 def test_limits_that_neither_the_model_nor_an_option_states_are_named():
-    slide = arms.SLIDE_IN_CHAIN
+    slide = small_arms.SLIDE_IN_CHAIN
     lines = "\n".join(report(make_problem(slide), sines(slide)))
     (assumed,) = re.findall("Limits of this program .*", lines)
     speeds = "velocity 2 rad/s of turn, bend, roll; velocity 0.25 m/s of lift"

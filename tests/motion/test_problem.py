@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs import arms, urdf
-from rigs.arms import SEEDS, robot_of, seeded_motion
-from rigs.excitation_arms import TUBES, make_problem, robot
+from rigs.arms import small_arms
+from rigs.arms.excitation_arms import TUBES, make_problem, robot
+from rigs.arms.small_arms import SEEDS, robot_of, seeded_motion
+from rigs.files import urdf
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
@@ -26,7 +27,7 @@ from robot_sysid.records import Limits
 def limited_arm(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf):
     """Return an arm of three joints with equal limits [rad, rad/s, N m]."""
     limits = Limits(np.full(3, lower), upper, velocity, torque=torque)
-    return replace(robot_of(arms.THREE), limits=limits)
+    return replace(robot_of(small_arms.THREE), limits=limits)
 
 
 def build(arm, *arguments, **changes):
@@ -65,7 +66,7 @@ def test_an_effort_of_zero_is_no_torque_limit_and_that_is_said(arm_file, effort)
 
 
 def test_without_a_band_only_an_option_limits_accelerations():
-    arm = robot(arms.SLIDE_IN_CHAIN)
+    arm = robot(small_arms.SLIDE_IN_CHAIN)
     free = build(arm, "chain", 0.3, False)
     assert np.all(np.isinf(free.limits.acceleration))
     limited = build(arm, "chain", 0.3, False, max_acceleration=3.0)
@@ -90,7 +91,7 @@ def test_no_point_of_the_tool_exceeds_its_speed(seed):
     assert np.all(stated <= np.max(speeds, axis=1) + 0.05 * np.linalg.norm(w, axis=2).T)
 
 
-SEVEN = make_problem(arms.SEVEN)
+SEVEN = make_problem(small_arms.SEVEN)
 
 
 def loaded_torque(motion, mass):
@@ -100,13 +101,13 @@ def loaded_torque(motion, mass):
 
 @given(SEEDS, st.floats(0.1, 5.0))
 def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
-    arm = robot(arms.SEVEN)
+    arm = robot(small_arms.SEVEN)
     motion = seeded_motion(seed, 7, 6)
     # The farthest corner of the tool's box.
     tip = SEVEN.tool[np.argmax(np.linalg.norm(SEVEN.tool, axis=1))]
     load = spatial.theta_from_com(mass, tip, np.zeros((3, 3)))
     model = copy.copy(arm.mj_model)
-    arms.write_body(model, arm.body_id, arm.prior.theta + load)
+    small_arms.write_body(model, arm.body_id, arm.prior.theta + load)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     expected = ArmDynamics(robot_of(model))(motion)
     assert_allclose(loaded_torque(motion, mass), expected, rtol=1e-7, atol=1e-7)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs import results as made
-from rigs.core_fits import fit_recordings
-from rigs.wrong_arms import draw_arm
+from rigs.arms import small_arms
+from rigs.arms.core_fits import fit_recordings
+from rigs.arms.wrong_arms import draw_arm
+from rigs.files import results as made
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.restricted_fit import fit_file
@@ -27,9 +27,9 @@ from robot_sysid.results.verdicts import Verdict
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.solver import exact_recording
 
-MODEL = arms.robot_of(
-    arms.serial_arm(
-        (arms.Z, arms.Y, arms.Y, arms.X),
+MODEL = small_arms.robot_of(
+    small_arms.serial_arm(
+        (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X),
         joint='range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"',
     )
 )

@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
 
-from rigs import arms, witness
-from rigs.arms import SEEDS
-from rigs.excitation_arms import (
+from rigs.arms import small_arms, witness
+from rigs.arms.excitation_arms import (
     DURATION,
     TOUCHING_AT_REST,
     TUBES_AND_POST,
@@ -27,7 +26,8 @@ from rigs.excitation_arms import (
     robot,
     slope,
 )
-from rigs.notes import NoteRecorder
+from rigs.arms.small_arms import SEEDS
+from rigs.files.notes import NoteRecorder
 from robot_sysid.errors import InputError
 from robot_sysid.motion import search
 from robot_sysid.motion.information import Criterion
@@ -46,8 +46,8 @@ from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 
 ARMS = (
-    arms.SLIDE_IN_CHAIN,
-    arms.UNLIMITED,
+    small_arms.SLIDE_IN_CHAIN,
+    small_arms.UNLIMITED,
     TUBES_AND_POST,
     TOUCHING_AT_REST,
     TUBES_ON_FLOOR,
@@ -83,7 +83,7 @@ def test_limits_hold_for_any_seed(xml, seed):
     assert_obeys(xml, seed, rounds=2, iterations=10)
 
 
-@pytest.mark.parametrize("xml", [arms.SLIDE_IN_CHAIN, TUBES_ON_FLOOR])
+@pytest.mark.parametrize("xml", [small_arms.SLIDE_IN_CHAIN, TUBES_ON_FLOOR])
 def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
     assert_obeys(xml, 1, iterations=2)
 
@@ -107,7 +107,7 @@ def test_rounds_keep_the_best_feasible_trajectory():
 
 @given(SEEDS)
 def test_gradient_equals_differences(seed):
-    design = make_design(arms.THREE)
+    design = make_design(small_arms.THREE)
     rng = default_rng(seed)
     n_constraints = len(design.problem.limits.columns) + 1
     multipliers = rng.uniform(size=(len(design.grid), n_constraints))
@@ -120,7 +120,7 @@ def test_gradient_equals_differences(seed):
     assert value == pytest.approx(exact, rel=1e-4, abs=1e-4 * (1.0 + np.abs(exact)))
 
 
-STRONG_MOTORS = arms.DRY_FRICTION.replace(
+STRONG_MOTORS = small_arms.DRY_FRICTION.replace(
     "</worldbody>",
     """</worldbody><actuator>
 <motor joint="joint0" ctrlrange="-40 40" ctrllimited="true"/>
@@ -149,7 +149,7 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     assert np.min(np.abs(slopes - np.sum(products))) < 1e-4 * size
 
 
-@pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
+@pytest.mark.parametrize("xml", [small_arms.SEVEN, small_arms.SLIDE_IN_CHAIN])
 def test_the_grid_is_fine_enough_for_the_band(xml):
     """On the search's grid, with rounded friction, no deviation is off by more than 3 %."""
     design = make_design(xml, duration=15.0)
@@ -171,20 +171,20 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
 
 
 def test_a_long_motion_repeats_itself_within_the_band():
-    design = make_design(arms.THREE, duration=200.0)
+    design = make_design(small_arms.THREE, duration=200.0)
     time = np.linspace(0.0, 50.0, 101)
     plan = design.trajectory(draw_trajectory(design, 0, 0).x)
     motion = plan.evaluate(np.append(50.0 + time, 100.0 + time))
     assert np.allclose(*np.split(motion.q, 2), atol=1e-9)
     assert design.top_frequency_hz == pytest.approx(0.6)
-    assert make_design(arms.THREE, duration=2.0).top_frequency_hz == 1.5
+    assert make_design(small_arms.THREE, duration=2.0).top_frequency_hz == 1.5
 
 
 def test_rounds_improve_the_objective_and_report_progress():
     scores = []
     for rounds, iterations in ((1, 0), (2, 6)):
         progress = NoteRecorder()
-        design = make_design(arms.THREE, rounds=rounds, iterations=iterations)
+        design = make_design(small_arms.THREE, rounds=rounds, iterations=iterations)
         plan = run_search(design, 3, progress)
         motion = plan.evaluate(design.grid[INFORMATION_POINTS])
         scores.append(design.criterion.evaluate((motion.q, motion.qd, motion.qdd)))
@@ -200,7 +200,7 @@ def test_an_interruption_keeps_the_best_trajectory():
             raise KeyboardInterrupt
 
     progress = NoteRecorder(interrupt)
-    design = make_design(arms.THREE, rounds=50)
+    design = make_design(small_arms.THREE, rounds=50)
     plan = run_search(design, 3, progress)
     assert any("ended early" in note for note in progress.notes)
     assert keeps_limits(design.problem, plan)
@@ -211,7 +211,7 @@ def test_an_interruption_before_the_first_result_is_raised():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_search(make_design(arms.THREE), 3, NoteRecorder(interrupt))
+        run_search(make_design(small_arms.THREE), 3, NoteRecorder(interrupt))
 
 
 @pytest.mark.parametrize("step", [1.0, 0.01])
@@ -220,7 +220,7 @@ def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step):
     # Each reading is a step later than the one before.
     clock = count(step, step).__next__
     design = make_design(
-        arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000
+        small_arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000
     )
     progress = NoteRecorder()
     plan = run_search(design, 3, progress, clock)
@@ -231,7 +231,7 @@ def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step):
 
 def test_the_limit_that_no_draw_keeps_is_named():
     # However slow, moving takes at least the friction.
-    problem = make_problem(arms.DRY_FRICTION)
+    problem = make_problem(small_arms.DRY_FRICTION)
     weak = replace(problem.limits, torque=np.full(3, 1e-3))
     problem = replace(problem, limits=weak)
     motion = TrajectoryOptions(duration=DURATION)
@@ -242,12 +242,16 @@ def test_the_limit_that_no_draw_keeps_is_named():
 
 def test_an_arm_that_rests_at_its_limits_has_a_motion():
     """As a Trossen WXAI does, folded: its shoulder and elbow turn one way only."""
-    folded = arms.serial_arm((arms.Z, arms.Y, arms.X), joint='range="0 2"')
+    folded = small_arms.serial_arm(
+        (small_arms.Z, small_arms.Y, small_arms.X), joint='range="0 2"'
+    )
     design = make_design(folded)
     assert np.isfinite(draw_trajectory(design, 0, 0).score)
 
 
-DESIGNS = list(map(make_design, (arms.THREE, TUBES_AND_POST, arms.SLIDE_IN_CHAIN)))
+DESIGNS = list(
+    map(make_design, (small_arms.THREE, TUBES_AND_POST, small_arms.SLIDE_IN_CHAIN))
+)
 
 
 @given(st.sampled_from(DESIGNS), SEEDS)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from rigs.arms import X, Y, Z, robot_of
-from rigs.excitation_arms import TUBES, make_problem, tube_arm
+from rigs.arms.excitation_arms import TUBES, make_problem, tube_arm
+from rigs.arms.small_arms import X, Y, Z, robot_of
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions, starts
 from robot_sysid.motion.problem import build_problem

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.arms import SEEDS
+from rigs.arms.small_arms import SEEDS
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import (
     LineTrajectory,

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigs.arms import SEEDS
-from rigs.measured_logs import XML, log_of
-from rigs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
+from rigs.arms.small_arms import SEEDS
+from rigs.logs.measured_logs import XML, log_of
+from rigs.logs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 from robot_sysid import spatial
 from robot_sysid.diagnosis.gate import Judged
 from robot_sysid.errors import InputError, SysidError

@@ -12,11 +12,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robot_sysid as rs
-from rigs import arms, schemas
-from rigs.core_fits import filter_logs, fit_recordings
-from rigs.file_judge import torque_error
-from rigs.measured_logs import log_of, plan_of
-from rigs.releases import since
+from rigs.arms import small_arms
+from rigs.arms.core_fits import filter_logs, fit_recordings
+from rigs.files import schemas
+from rigs.files.file_judge import torque_error
+from rigs.files.releases import since
+from rigs.logs.measured_logs import log_of, plan_of
 from robot_sysid.dynamics.friction import BEND, polynomial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SysidError
@@ -47,12 +48,12 @@ pytestmark = since(3, 7)
 @pytest.fixture(scope="module")
 def plant():
     """The arm, whose gears bend as much as they rub."""
-    return arms.robot_of(arms.serial_arm(joint=BENT.format(DRY, *DAMPING)))
+    return small_arms.robot_of(small_arms.serial_arm(joint=BENT.format(DRY, *DAMPING)))
 
 
 @pytest.fixture(scope="module")
 def model():
-    return arms.robot_of(arms.serial_arm(joint=STRAIGHT))
+    return small_arms.robot_of(small_arms.serial_arm(joint=STRAIGHT))
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,7 @@ def estimate(model, log):
 def folder(tmp_path_factory, plant, log):
     """A folder with the arm's model, its log, and what was identified from both."""
     folder = tmp_path_factory.mktemp("curved")
-    (folder / "arm.xml").write_text(arms.serial_arm(joint=STRAIGHT))
+    (folder / "arm.xml").write_text(small_arms.serial_arm(joint=STRAIGHT))
     write_measurement_csv(folder / "log.csv", plant.joint_names, [log])
     other = log_of(plant, plan_of(plant, 5), 5, noise_torque=0.01)
     write_measurement_csv(folder / "other.csv", plant.joint_names, [other])
@@ -152,18 +153,20 @@ def test_params_have_each_number_once_and_that_of_the_file(folder):
 
 def test_without_a_rotor_no_joint_bends(plant, model):
     """A sensor behind the gears sees neither rotors nor the friction of gears."""
-    behind = arms.robot_of(
-        arms.serial_arm(joint=BENT.format(DRY, *DAMPING).replace('armature=".05"', ""))
+    behind = small_arms.robot_of(
+        small_arms.serial_arm(
+            joint=BENT.format(DRY, *DAMPING).replace('armature=".05"', "")
+        )
     )
     log = log_of(behind, noise_torque=0.01, encoder_resolution=1e-5)
-    bare = arms.robot_of(arms.serial_arm(joint='range="-2 2"'))
+    bare = small_arms.robot_of(small_arms.serial_arm(joint='range="-2 2"'))
     file = fit_file(fit_recordings(bare, filter_logs(bare, log)))
     assert not [*bent_owners(file)] and straight_of(file) is file
 
 
 def test_a_bend_that_is_worth_nothing_makes_no_second_file(model):
-    plain = arms.robot_of(
-        arms.serial_arm(
+    plain = small_arms.robot_of(
+        small_arms.serial_arm(
             joint='range="-2 2" armature=".05" frictionloss=".3" damping=".2"'
         )
     )
@@ -262,7 +265,7 @@ def test_a_curved_model_is_refitted_and_a_log_of_it_is_told_from_nothing(folder)
 def test_a_curve_that_an_arm_does_not_have_leaves_nothing_in_its_file(folder):
     """Beside a line with less viscous friction it would fall, and drive the joint."""
     plain = 'range="-2 2" armature=".05" frictionloss=".3" damping=".05"'
-    plant = arms.robot_of(arms.serial_arm(joint=plain))
+    plant = small_arms.robot_of(small_arms.serial_arm(joint=plain))
     log = log_of(plant, noise_torque=0.01, encoder_resolution=1e-5)
     path = folder / "plain.csv"
     write_measurement_csv(path, plant.joint_names, [log])
@@ -284,11 +287,13 @@ def test_check_finds_nothing_between_a_curved_model_and_its_arm(folder):
 
 
 def test_a_payload_on_a_curved_arm_is_weighed(folder, plant):
-    loaded = arms.compile_xml(arms.serial_arm(joint=BENT.format(DRY, *DAMPING)))
+    loaded = small_arms.compile_xml(
+        small_arms.serial_arm(joint=BENT.format(DRY, *DAMPING))
+    )
     theta = plant.prior.theta.copy()
-    carried = arms.random_theta(np.random.default_rng(1), 0.5, 0.05)
-    arms.write_body(loaded, plant.body_id, theta + carried)
-    heavy = arms.robot_of(loaded)
+    carried = small_arms.random_theta(np.random.default_rng(1), 0.5, 0.05)
+    small_arms.write_body(loaded, plant.body_id, theta + carried)
+    heavy = small_arms.robot_of(loaded)
     log = log_of(heavy, plan_of(plant, 7), 7, noise_torque=0.01)
     write_measurement_csv(folder / "loaded.csv", plant.joint_names, [log])
     result = rs.payload(folder / CURVED_NAME, folder / "log.csv", folder / "loaded.csv")
@@ -332,14 +337,14 @@ def test_a_usual_arm_of_a_curved_model_has_a_curve_that_nowhere_falls(folder, se
 
 def test_a_damping_that_is_no_bend_stays_beside_what_is_identified(tmp_path, model):
     """Drag, which grows with the square of speed."""
-    drag = arms.robot_of(
-        arms.serial_arm(
+    drag = small_arms.robot_of(
+        small_arms.serial_arm(
             joint='range="-2 2" armature=".05" frictionloss=".2" damping=".1 .2 0"'
         )
     )
     path = tmp_path / "drag.xml"
     path.write_text(
-        arms.serial_arm(joint='range="-2 2" armature=".05" damping="0 .2 0"')
+        small_arms.serial_arm(joint='range="-2 2" armature=".05" damping="0 .2 0"')
     )
     log = log_of(drag, noise_torque=0.01, encoder_resolution=1e-5)
     write_measurement_csv(tmp_path / "log.csv", drag.joint_names, [log])

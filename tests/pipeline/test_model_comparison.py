@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigs import arms
-from rigs.wrong_arms import truth_of, wrong_links
+from rigs.arms import small_arms
+from rigs.arms.wrong_arms import truth_of, wrong_links
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.pipeline.changes import DIFFERS, FRICTION_ROW, NOT_JUDGED
 from robot_sysid.pipeline.comparison import compare_with_model
 from robot_sysid.records.messages import Progress
 
-ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
-ROBOT = arms.robot_of(ARM)
+ARM = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+ROBOT = small_arms.robot_of(ARM)
 CONFIG = IdentifyConfig.of(path="arm.xml", measurements=("log.csv",))
 
 
@@ -64,7 +64,7 @@ def test_a_difference_of_many_times_the_usual_one_is_named_with_its_value(
 
 
 @settings(max_examples=6)
-@given(arms.SEEDS, st.floats(-10.0, 10.0), st.floats(-6.0, 6.0))
+@given(small_arms.SEEDS, st.floats(-10.0, 10.0), st.floats(-6.0, 6.0))
 def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
     seed, turn, pull
 ):

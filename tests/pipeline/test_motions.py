@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigs import arms, witness
-from rigs.excitation_arms import TUBES, TUBES_AND_POST, options, robot
-from rigs.notes import NoteRecorder
+from rigs.arms import small_arms, witness
+from rigs.arms.excitation_arms import TUBES, TUBES_AND_POST, options, robot
+from rigs.files.notes import NoteRecorder
 from robot_sysid.config import MotorOptions, PlanConfig, SelfTestConfig
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -44,7 +44,7 @@ def settings_of(
 def plan_motion(xml, listener=None, **settings):
     """Return the plan of an arm; further arguments are those of settings_of."""
     speed = settings.get("limits", {}).get("max_velocity", 2.0)
-    arm = arms.robot_of(xml, max_velocity=speed)
+    arm = small_arms.robot_of(xml, max_velocity=speed)
     return design_motion(settings_of(**settings), arm, listener or NoteRecorder())
 
 
@@ -60,9 +60,9 @@ CHECKED = {
 def test_motions_that_are_played_saved_or_limited_are_checked():
     assert all(is_checked(settings_of(**case)) for case in CHECKED.values())
     assert not is_checked(settings_of(limits={"max_velocity": 0.3}))
-    motion_plan = plan_motion(arms.THREE, **CHECKED["limited"])
+    motion_plan = plan_motion(small_arms.THREE, **CHECKED["limited"])
     assert motion_plan.failure is None
-    unchecked = plan_motion(arms.THREE)
+    unchecked = plan_motion(small_arms.THREE)
     assert (unchecked.check, unchecked.problem, unchecked.failure) == (None, None, None)
 
 
@@ -83,7 +83,7 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
         aim=AimOptions(purpose=purpose),
         estimation=EstimationOptions(priors=Priors(link=10.0)),
     )
-    checked = design_motion(settings, robot(arms.THREE), NoteRecorder())
+    checked = design_motion(settings, robot(small_arms.THREE), NoteRecorder())
     assert checked.failure is None
     problem = checked.problem
     motion = checked.plan.evaluate(np.linspace(0.0, checked.plan.duration, 100))

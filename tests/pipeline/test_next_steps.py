@@ -5,8 +5,8 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from rigs import results as made
-from rigs.command_line import COMMANDS
+from rigs.files import results as made
+from rigs.files.command_line import COMMANDS
 from robot_sysid.pipeline.next_steps import STEPS, step_after
 from robot_sysid.records.messages import NextStep
 from robot_sysid.results.content import content_of

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.log_files import open_log
-from rigs.measured_logs import XML, log_of
+from rigs.logs.log_files import open_log
+from rigs.logs.measured_logs import XML, log_of
 from robot_sysid.config import PayloadConfig
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions

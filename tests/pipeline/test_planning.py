@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigs import arms
+from rigs.arms import small_arms
 from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
@@ -25,7 +25,9 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.trajectory import SineTrajectory
 
-XML = arms.serial_arm((arms.Z, arms.Y), joint='range="-2 2" frictionloss=".4"')
+XML = small_arms.serial_arm(
+    (small_arms.Z, small_arms.Y), joint='range="-2 2" frictionloss=".4"'
+)
 
 
 @pytest.fixture

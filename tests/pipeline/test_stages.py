@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs import arms, results
-from rigs.measured_logs import plan_of, true_arm
-from rigs.notes import NoteRecorder
-from rigs.places import GUESS
-from rigs.results import theta_in
+from rigs.arms import small_arms
+from rigs.files import results
+from rigs.files.notes import NoteRecorder
+from rigs.files.places import GUESS
+from rigs.files.results import theta_in
+from rigs.logs.measured_logs import plan_of, true_arm
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
@@ -25,8 +26,9 @@ from robot_sysid.results.record import NextMotion
 from robot_sysid.results.verdicts import Verdict
 from robot_sysid.trajectory import CHUNK
 
-XML = arms.serial_arm(
-    (arms.Z, arms.Y, arms.X), joint='range="-2.5 2.5" frictionloss=".4" damping=".1"'
+XML = small_arms.serial_arm(
+    (small_arms.Z, small_arms.Y, small_arms.X),
+    joint='range="-2.5 2.5" frictionloss=".4" damping=".1"',
 )
 
 

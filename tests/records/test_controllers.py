@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rigs import results as made
+from rigs.files import results as made
 from robot_sysid.records.controllers import makers_of
 
 

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from rigs.model_files import LFS_POINTER, make_pipe
-from rigs.places import ROOT
-from rigs.refusals import refused
+from rigs.files.model_files import LFS_POINTER, make_pipe
+from rigs.files.places import ROOT
+from rigs.files.refusals import refused
 from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import (
     atomic_files,

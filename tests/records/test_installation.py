@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import robot_sysid
-from rigs.places import ROOT
+from rigs.files.places import ROOT
 from robot_sysid.records import installation
 
 WHEEL = f"robot_sysid-{robot_sysid.__version__}-py3-none-any.whl"

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
-from rigs.arms import SEEDS
-from rigs.refusals import refused
+from rigs.arms.small_arms import SEEDS
+from rigs.files.refusals import refused
 from robot_sysid.records import LIMITED, HalfSpace, Limits
 from robot_sysid.records.limits import LARGEST
 

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from rigs.refusals import refused
+from rigs.files.refusals import refused
 from robot_sysid.records.option_fields import (
     CONSTANTS,
     SCALE,

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import assume, given
 from numpy.testing import assert_allclose
 
-from rigs.arms import SEEDS
-from rigs.bodies import body_estimate, random_body
+from rigs.arms.bodies import body_estimate, random_body
+from rigs.arms.small_arms import SEEDS
 from robot_sysid import spatial
 from robot_sysid.records.quantities import (
     CENTRAL,

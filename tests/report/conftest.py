@@ -2,7 +2,7 @@
 
 import pytest
 
-from rigs.reports import link_run, page
+from rigs.files.reports import link_run, page
 from robot_sysid.report import studio
 
 __all__ = ["link_run", "no_renderer", "page"]

@@ -8,8 +8,8 @@ from html.parser import HTMLParser
 import pytest
 from markupsafe import escape
 
-from rigs import results as made
-from rigs.reports import payload_result, saved
+from rigs.files import results as made
+from rigs.files.reports import payload_result, saved
 from robot_sysid.errors import InputError
 from robot_sysid.report.drawing import COLOURS
 from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report

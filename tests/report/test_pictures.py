@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rigs import arms
+from rigs.arms import small_arms
 from robot_sysid.report import studio
 from robot_sysid.report.pictures import pictures
 from robot_sysid.report.runs import load_run
@@ -17,7 +17,7 @@ needs_renderer = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def robot():
     """A three-joint arm."""
-    return arms.robot_of(arms.THREE)
+    return small_arms.robot_of(small_arms.THREE)
 
 
 def test_no_renderer_means_no_pictures_but_a_page(no_renderer, link_run):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.reports import traces
+from rigs.files.reports import traces
 from robot_sysid.errors import InputError
 from robot_sysid.records import SIGNAL_NAMES
 from robot_sysid.records.data import Traces

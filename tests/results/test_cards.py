@@ -11,8 +11,8 @@ from lxml import etree
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from rigs.arms import SEEDS
-from rigs.bodies import SHAPES, body_estimate, card_of, random_body
+from rigs.arms.bodies import SHAPES, body_estimate, card_of, random_body
+from rigs.arms.small_arms import SEEDS
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records.quantities import load_errors

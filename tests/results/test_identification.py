@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs import arms
-from rigs.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
-from rigs.measured_logs import XML, log_of, plan_of
+from rigs.arms import small_arms
+from rigs.arms.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
+from rigs.logs.measured_logs import XML, log_of, plan_of
 from robot_sysid import spatial
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.records.messages import Level
@@ -120,7 +120,7 @@ def test_numbers_that_take_up_friction_left_out_are_not_called_usable(
     xml = XML.replace('armature=".05"', f'armature="{rotor}"').replace(
         'damping=".2"', ""
     )
-    result = result_of(arms.robot_of(xml), log, friction_model="coulomb-viscous")
+    result = result_of(small_arms.robot_of(xml), log, friction_model="coulomb-viscous")
     assert result.verdict is verdict and result.failure is None
     (remark,) = [each for each in result.remarks if re.search(note, each.text)]
     is_doubt = verdict is not Verdict.BETTER

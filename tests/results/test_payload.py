@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs.core_fits import ORIGIN, fit_recordings
-from rigs.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
+from rigs.arms.core_fits import ORIGIN, fit_recordings
+from rigs.logs.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
 from robot_sysid import spatial
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.options import EstimationOptions

@@ -1,12 +1,13 @@
 """What is printed and written of results: as recorded, no longer than a screen, with one reason.
 
-``python -m rigs.recorded_results`` records it anew; read the difference before it is committed.
+``python -m rigs.files.recorded_results`` records it anew; read the difference before it is
+committed.
 """
 
 import pytest
 
-from rigs import results as made
-from rigs.recorded_results import FOLDER, RECORDED, RESULTS
+from rigs.files import results as made
+from rigs.files.recorded_results import FOLDER, RECORDED, RESULTS
 from robot_sysid.records.messages import Level
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines, verdict_line

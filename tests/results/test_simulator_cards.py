@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs.arms import random_theta
-from rigs.model_files import write_files
-from rigs.notes import NoteRecorder
+from rigs.arms.small_arms import random_theta
+from rigs.files.model_files import write_files
+from rigs.files.notes import NoteRecorder
 from robot_sysid import spatial
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import results as made
+from rigs.files import results as made
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.quantities import DATA, MODEL, Quantity, body_quantities
 from robot_sysid.results.table import cells

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import arms
-from rigs import results as made
-from rigs.core_fits import fit_logs
+from rigs.arms import small_arms
+from rigs.arms.core_fits import fit_logs
+from rigs.files import results as made
 from robot_sysid import spatial
 from robot_sysid.estimate.payload import Contradiction
 from robot_sysid.model.bodies import link_reach
@@ -24,7 +24,7 @@ from robot_sysid.results.rules import OF_ARM, OF_FILES, OF_PAYLOAD, PayloadEvide
 from robot_sysid.results.self_test import OF_SELF_TEST, SelfTestEvidence
 from robot_sysid.results.verdicts import MEANINGS, Verdict, judge, verdict_of
 
-SEVEN = arms.robot_of(arms.SEVEN)
+SEVEN = small_arms.robot_of(small_arms.SEVEN)
 REACH = link_reach(SEVEN)
 ARM = REACH + sum(float(np.linalg.norm(link.translation)) for link in SEVEN.links[1:])
 OK = Verdict.OK

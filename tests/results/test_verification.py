@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.arms import random_theta
-from rigs.model_files import ARM, write_files
+from rigs.arms import small_arms
+from rigs.arms.small_arms import random_theta
+from rigs.files.model_files import ARM, write_files
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import mjcf_inertial
@@ -186,7 +186,7 @@ def test_a_joint_or_actuator_without_its_new_number_is_refused_by_name(change, m
 def three_joints(tmp_path_factory):
     """A three-joint arm as a file."""
     path = tmp_path_factory.mktemp("law5") / "arm.xml"
-    path.write_text(arms.THREE)
+    path.write_text(small_arms.THREE)
     return load_robot_model(path)
 
 
@@ -194,7 +194,7 @@ def is_refused_for_torque(robot, mj_model, thetas=None, change=None):
     """Whether a compiled model is refused for its torque."""
     thetas = robot.thetas if thetas is None else thetas
     change = change or ModelChange((), 0.0)
-    motion = arms.seeded_motion(1, robot.n_joints)
+    motion = small_arms.seeded_motion(1, robot.n_joints)
     try:
         require_reproduction(
             robot, thetas, change, mj_model, motion, Path("updated_model.xml")

@@ -20,11 +20,12 @@ from lxml import etree
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 
-from rigs import arms, urdf
-from rigs import results as made
-from rigs.arms import random_theta
-from rigs.model_files import ARM, write_files
-from rigs.releases import since
+from rigs.arms import small_arms
+from rigs.arms.small_arms import random_theta
+from rigs.files import results as made
+from rigs.files import urdf
+from rigs.files.model_files import ARM, write_files
+from rigs.files.releases import since
 from robot_sysid import records, spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import ExportError
@@ -67,7 +68,7 @@ def robots(tmp_path_factory):
 
 def checkpoints(robot):
     """A random motion of 5 samples at which torques are compared."""
-    q, qd, qdd = arms.random_motion(np.random.default_rng(0), robot.n_joints, 5)
+    q, qd, qdd = small_arms.random_motion(np.random.default_rng(0), robot.n_joints, 5)
     return records.Motion(np.arange(5.0), 0.3 * q, qd, qdd)
 
 
@@ -146,7 +147,7 @@ def some_payload(rng):
 def terminal_composite(mj_model, robot):
     """The parameters (10,) in a model of the terminal link with all bodies that it carries."""
     terminal = mj_model.body(robot.body_name).id
-    return arms.composite_theta(mj_model, robot.reference_qpos, terminal)
+    return small_arms.composite_theta(mj_model, robot.reference_qpos, terminal)
 
 
 def assert_same_theta(actual, expected, rtol=1e-11):
@@ -261,7 +262,9 @@ ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1"
 @pytest.mark.parametrize("factor", [0.0, 2.5])
 def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, factor):
     """The sum is what was identified; the written file has it at the joint."""
-    xml = arms.serial_arm((arms.Z, arms.Y, arms.X), joint='armature=".1"', extra=ROTORS)
+    xml = small_arms.serial_arm(
+        (small_arms.Z, small_arms.Y, small_arms.X), joint='armature=".1"', extra=ROTORS
+    )
     robot = load_arm(tmp_path, xml)
     numbers = np.array([[0.1, 0.1 + 0.18, 0.1 + 0.3 + 0.04], [0.0, 0.9, 0.2]])
     assert_allclose((robot.armature, robot.friction.viscous), numbers)
@@ -278,7 +281,9 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
         assert not np.any(getattr(model, f"actuator_{name}"))
 
 
-SLACK = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
+SLACK = small_arms.TENDON_SPRING.replace(
+    'stiffness="25" springlength=".2" damping="3"', ""
+)
 RATIOS = np.array([0.0, 1.0, -2.0])
 
 
@@ -297,7 +302,8 @@ def with_motor(robot, seed):
 
 
 @pytest.mark.parametrize(
-    "source", [arms.THREE, SLACK, pytest.param(arms.SHARED_MOTOR, marks=since(3, 3))]
+    "source",
+    [small_arms.THREE, SLACK, pytest.param(small_arms.SHARED_MOTOR, marks=since(3, 3))],
 )
 def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     robot = load_arm(tmp_path, source)
@@ -379,7 +385,7 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path, ratio):
 
 
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
-    robot = load_arm(tmp_path, arms.SHARED_BODIES)
+    robot = load_arm(tmp_path, small_arms.SHARED_BODIES)
     thetas = new_links(robot, np.random.default_rng(0))
     thetas[0] = thetas[2]
     with pytest.raises(ExportError, match="joint yaw moves no link of its own"):
@@ -426,7 +432,7 @@ def test_a_frame_without_mass_is_no_obstacle(tmp_path, moment):
 
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_a_factor_on_all_masses_is_in_all_bodies_of_the_file(tmp_path, factor):
-    text = arms.serial_arm(("0 0 1", "0 1 0"), tip=arms.fingers())
+    text = small_arms.serial_arm(("0 0 1", "0 1 0"), tip=small_arms.fingers())
     path = write_files(tmp_path, {"arm.xml": text})
     robot = load_robot_model(path, mass_scale=factor)
     thetas = robot.thetas
@@ -438,7 +444,7 @@ def test_a_factor_on_all_masses_is_in_all_bodies_of_the_file(tmp_path, factor):
 
 
 def test_fingers_that_leave_no_possible_gripper_are_refused(tmp_path):
-    text = arms.serial_arm(("0 0 1", "0 1 0"), tip=arms.fingers())
+    text = small_arms.serial_arm(("0 0 1", "0 1 0"), tip=small_arms.fingers())
     # The model says more of its fingers than there is of the whole gripper.
     robot = load_arm(tmp_path, text.replace('mass=".03"', 'mass=".6"'), "joint1")
     theta = 0.1 * robot.thetas[-1]
@@ -447,24 +453,24 @@ def test_fingers_that_leave_no_possible_gripper_are_refused(tmp_path):
 
 
 def test_links_that_are_the_models_own_are_left_alone(tmp_path):
-    robot = load_arm(tmp_path, arms.THREE)
+    robot = load_arm(tmp_path, small_arms.THREE)
     thetas = robot.thetas
     thetas[-1] += random_theta(np.random.default_rng(2), 0.2)
     result = result_of(robot, thetas=thetas)
     text = write_and_compile(robot, result).path.read_text()
     assert text.count("System ID") == 1
-    assert text.count(arms.LINK) == arms.THREE.count(arms.LINK) == 2
+    assert text.count(small_arms.LINK) == small_arms.THREE.count(small_arms.LINK) == 2
 
 
-NAMED = [arms.SEVEN, arms.COUPLED_FINGERS, arms.SPRINGS]
+NAMED = [small_arms.SEVEN, small_arms.COUPLED_FINGERS, small_arms.SPRINGS]
 if hasattr(mujoco.MjModel, "dof_dampingpoly"):
-    NAMED.append(arms.NONLINEAR_DAMPING)
+    NAMED.append(small_arms.NONLINEAR_DAMPING)
 
 
 @given(
-    st.sampled_from(NAMED) | arms.random_chain(),
-    arms.rigid_bodies(),
-    arms.SEEDS,
+    st.sampled_from(NAMED) | small_arms.random_chain(),
+    small_arms.rigid_bodies(),
+    small_arms.SEEDS,
     st.sampled_from(["links", "merged", "own body"]),
 )
 def test_any_arm_takes_any_links_and_any_payload(
@@ -503,7 +509,7 @@ def test_any_arm_takes_any_links_and_any_payload(
         expected = [joints[joint][field] for joint in robot.joint_names]
         assert_array_equal(getattr(model, f"dof_{field}")[robot.dof_index], expected)
     assert_array_equal(model.opt.gravity, gravity)
-    if xml == arms.NONLINEAR_DAMPING:
+    if xml == small_arms.NONLINEAR_DAMPING:
         assert_array_equal(model.dof_dampingpoly, robot.mj_model.dof_dampingpoly)
     text = path.read_text()
     assert "System ID: gravity in place of" in text
@@ -512,7 +518,7 @@ def test_any_arm_takes_any_links_and_any_payload(
 
 
 def test_a_compilers_bound_on_moments_is_kept_with_a_note(tmp_path):
-    text = arms.THREE.replace("<compiler ", '<compiler boundinertia="2e-4" ')
+    text = small_arms.THREE.replace("<compiler ", '<compiler boundinertia="2e-4" ')
     robot = load_arm(tmp_path, text)
     thin = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
     _, mj_model, notes = write_and_compile(robot, result_of(robot, thin))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.arms import robot_of
-from rigs.servo_logs import positions, sines_and_steps
+from rigs.arms.small_arms import robot_of
+from rigs.logs.servo_logs import positions, sines_and_steps
 from robot_sysid.records import Recording
 from robot_sysid.servo.fit import LINK_ERROR, fit_servos
 from robot_sysid.servo.loop import rms

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigs.arms import robot_of
-from rigs.servo_logs import positions, sines_and_steps
+from rigs.arms.small_arms import robot_of
+from rigs.logs.servo_logs import positions, sines_and_steps
 from robot_sysid.records import Recording
 from robot_sysid.servo.fit import fit_servos, loop_columns, solve_not_negative
 from robot_sysid.servo.loop import distances, goal_error, low_pass, low_pass_motion

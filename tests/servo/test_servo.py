@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from rigs import schemas, urdf
-from rigs.model_files import write_files
-from rigs.notes import NoteRecorder
-from rigs.servo_logs import XML, positions, sines_and_steps, write
+from rigs.files import schemas, urdf
+from rigs.files.model_files import write_files
+from rigs.files.notes import NoteRecorder
+from rigs.logs.servo_logs import XML, positions, sines_and_steps, write
 from robot_sysid import servo
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError

@@ -7,7 +7,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs.swing import FREQUENCIES, Swing, filtered, seconds
+from rigs.logs.swing import FREQUENCIES, Swing, filtered, seconds
 from robot_sysid.records import Recording
 from robot_sysid.signals.cutoff import choose_cutoff
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs.swing import seconds
+from rigs.logs.swing import seconds
 from robot_sysid.errors import InputError
 from robot_sysid.signals.filters import REACH, derivatives, design_low_pass
 

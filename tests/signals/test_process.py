@@ -8,7 +8,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.swing import Swing, filtered, seconds
+from rigs.logs.swing import Swing, filtered, seconds
 from robot_sysid.errors import InputError
 from robot_sysid.records import Recording
 from robot_sysid.signals.process import (

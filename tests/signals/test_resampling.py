@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.arms import SEEDS
-from rigs.swing import Swing, seconds
+from rigs.arms.small_arms import SEEDS
+from rigs.logs.swing import Swing, seconds
 from robot_sysid.records import Recording
 from robot_sysid.signals import resampling
 from robot_sysid.signals.resampling import (

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.arms import THREE, X, Y, Z, random_motion, robot_of, serial_arm
-from rigs.measured_logs import plan_of
+from rigs.arms import small_arms
+from rigs.arms.small_arms import THREE, X, Y, Z, random_motion, robot_of, serial_arm
+from rigs.logs.measured_logs import plan_of
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.parser import load_robot_model
@@ -158,7 +158,7 @@ def inverse_error(robot, timestep, seconds=0.2):
 
 @pytest.mark.parametrize("name", ["seven", "slide in chain", "coupled fingers"])
 def test_its_torques_are_those_of_inverse_dynamics_to_second_order(name):
-    robot = robot_of(arms.MODELS[name])
+    robot = robot_of(small_arms.MODELS[name])
     coarse = inverse_error(robot, 1e-3)
     fine = inverse_error(robot, 2.5e-4)
     assert coarse < 0.01
@@ -181,7 +181,7 @@ def test_damping_adds_no_apparent_armature(damping):
 
 def test_steps_of_any_length_add_up():
     """A step cut in two where a motor is sampled leads to where one step leads, to third order."""
-    robot = robot_of(arms.MODELS["seven"])
+    robot = robot_of(small_arms.MODELS["seven"])
     uncut = ArmStepper(robot, robot.reference, 1e-3)
     cut = ArmStepper(robot, robot.reference, 1e-3)
     torque = np.ones(robot.n_joints)
@@ -293,7 +293,7 @@ def test_a_motor_that_turns_two_joints_holds_and_resists_both():
 
 @pytest.mark.parametrize("name", ["dry friction", "shared motor"])
 def test_fast_joints_have_the_dry_friction_that_mujoco_gives_them(name):
-    models = {**arms.MODELS, **arms.NEWER_MODELS}
+    models = {**small_arms.MODELS, **small_arms.NEWER_MODELS}
     try:
         robot = robot_of(models[name])
     except ValueError:

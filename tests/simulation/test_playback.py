@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
-from rigs.releases import since
-from rigs.servo_logs import SERVOS, TRUTH, XML, sines_and_steps
+from rigs.arms.small_arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
+from rigs.files.releases import since
+from rigs.logs.servo_logs import SERVOS, TRUTH, XML, sines_and_steps
 from robot_sysid.simulation import playback
 from robot_sysid.simulation.plant import forward_model, set_chain_state
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from rigs import arms
+from rigs.arms import small_arms
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.model.bodies import body_theta
@@ -15,19 +15,21 @@ from robot_sysid.records import Motion
 from robot_sysid.simulation.usual_arm import usual_arm
 
 RATED = np.array([20.0, 9.0, 3.0])
-MODEL = arms.serial_arm(tip=arms.fingers(), joint='range="-2.5 2.5" armature=".1"')
+MODEL = small_arms.serial_arm(
+    tip=small_arms.fingers(), joint='range="-2.5 2.5" armature=".1"'
+)
 
 
 @pytest.fixture(scope="module")
 def robot():
-    return arms.robot_of(MODEL, "joint2")
+    return small_arms.robot_of(MODEL, "joint2")
 
 
 def draw(robot, seed):
     return usual_arm(robot, RATED, np.random.default_rng(seed))
 
 
-@given(seed=arms.SEEDS)
+@given(seed=small_arms.SEEDS)
 def test_every_drawn_body_can_exist_and_rubs(robot, seed):
     arm = draw(robot, seed)
     for body in range(1, robot.mj_model.nbody):
@@ -38,7 +40,7 @@ def test_every_drawn_body_can_exist_and_rubs(robot, seed):
     assert np.all(arm.armature != robot.armature)
 
 
-@given(seed=arms.SEEDS)
+@given(seed=small_arms.SEEDS)
 def test_its_compiled_model_is_that_of_its_links(robot, seed):
     """MuJoCo's torque of the drawn arm is that of its links and rotors."""
     arm = draw(robot, seed)
@@ -77,7 +79,7 @@ def test_the_same_seed_draws_the_same_arm_and_leaves_the_model(robot):
 def test_friction_that_the_file_knows_stays_at_about_its_size():
     """What it has more than usual is that of this arm; a usual change of friction is left to it."""
     joint = 'range="-2.5 2.5" frictionloss="20" damping="30"'
-    robot = arms.robot_of(arms.serial_arm(joint=joint))
+    robot = small_arms.robot_of(small_arms.serial_arm(joint=joint))
     arm = draw(robot, 0)
     assert np.all(arm.friction.coulomb != 20.0)
     np.testing.assert_allclose(arm.friction.coulomb, 20.0, rtol=0.5)

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import arms
-from rigs.damiao_rig import rest_to_rest, swing, trajectory_of
+from rigs.arms import small_arms
+from rigs.motors.damiao_rig import rest_to_rest, swing, trajectory_of
 from robot_sysid.damiao.checks.model import (
     common_torque_factor,
     contact_checks,
@@ -41,7 +41,7 @@ WHAT = ("position", "velocity", "torque")
 
 @pytest.fixture(scope="module")
 def arm():
-    return arms.robot_of(arms.THREE, max_velocity=np.inf)
+    return small_arms.robot_of(small_arms.THREE, max_velocity=np.inf)
 
 
 def limited_robot(arm, share, peaks):
@@ -84,7 +84,7 @@ def peaks_of(motion):
     rate=RATES,
     speed=SPEEDS,
     share=st.lists(SHARES, min_size=9, max_size=9),
-    seed=arms.SEEDS,
+    seed=small_arms.SEEDS,
 )
 def test_every_row_counts_however_short_its_peak(arm, rows, rate, speed, share, seed):
     """Feed-forward torques and stated velocities of any shape, around an arm that stands still."""
@@ -130,7 +130,7 @@ def refusals(arm, motion, **settings):
     return [check.text for check in findings if check.level != Level.SAYS]
 
 
-@given(seed=arms.SEEDS, speed=SPEEDS, factor=st.floats(0.5, 1.5))
+@given(seed=small_arms.SEEDS, speed=SPEEDS, factor=st.floats(0.5, 1.5))
 def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
     arm, seed, speed, factor
 ):
@@ -186,7 +186,7 @@ def test_a_ripple_that_no_motor_follows_is_refused(arm):
 
 # --- contact ------------------------------------------------------------------------------------
 
-WALL = arms.world(
+WALL = small_arms.world(
     '<body name="arm"><inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>'
     '<joint name="shoulder" axis="0 0 1" range="-3 3"/><geom size=".02" pos=".5 0 0"/></body>'
     '<body name="wall"><geom type="box" size=".02 .02 .02" pos="0 .5 0"/></body>'
@@ -204,7 +204,7 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
     angle, speed
 ):
     """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
-    robot = arms.robot_of(WALL, max_velocity=np.inf)
+    robot = small_arms.robot_of(WALL, max_velocity=np.inf)
     checks = check_trajectory(turn(angle), speed, robot)
     assert [check.level for check in checks] == [Level.REFUSES] * (angle > np.pi / 2)
     assert all("wall" in check.text and "arm" in check.text for check in checks)
@@ -212,7 +212,7 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
 
 @given(angle=st.floats(-2.9, 1.4) | st.floats(1.7, 2.9))
 def test_each_way_is_compared_too(angle):
-    robot = arms.robot_of(WALL, max_velocity=np.inf)
+    robot = small_arms.robot_of(WALL, max_velocity=np.inf)
     ends = np.zeros(1), np.array([angle])
     problem = build_problem(robot, NO_LIMITS)
     stops = [check.text for check in transfer_checks(problem, *ends)]

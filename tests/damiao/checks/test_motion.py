@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.arms import SEEDS
-from rigs.damiao_rig import rest_to_rest, trajectory_file, trajectory_of
+from rigs.arms.small_arms import SEEDS
+from rigs.motors.damiao_rig import rest_to_rest, trajectory_file, trajectory_of
 from robot_sysid.damiao.checks.motion import motion_checks
 from robot_sysid.damiao.checks.preflight import plan_checks
 from robot_sysid.damiao.joints import peak_torques

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import MotorBus, swing, trajectory_of
+from rigs.motors.damiao_rig import MotorBus, swing, trajectory_of
 from robot_sysid.commands.motors.setup import SetupOptions
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.preflight import (

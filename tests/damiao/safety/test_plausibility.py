@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import MotorBus, mit_command, state
+from rigs.motors.damiao_rig import MotorBus, mit_command, state
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import Scaling

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigs import arms
-from rigs.places import DATA
+from rigs.arms import small_arms
+from rigs.files.places import DATA
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.safety.holding import gravity_holding
 from robot_sysid.damiao.safety.position_shift import PositionShift
@@ -60,10 +60,10 @@ def finding(robot, run):
 
 def heavy(axes):
     """An arm whose links weigh enough to load its motors."""
-    mj_model = arms.compile_xml(arms.serial_arm(axes))
+    mj_model = small_arms.compile_xml(small_arms.serial_arm(axes))
     mj_model.body_mass[:] *= 10.0
     mj_model.body_inertia[:] *= 10.0
-    return arms.robot_of(mj_model)
+    return small_arms.robot_of(mj_model)
 
 
 SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 10))]
@@ -73,13 +73,13 @@ SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2,
 @pytest.fixture
 def arm():
     """An arm on a vertical axis."""
-    return heavy((arms.Z, arms.Y, arms.X))
+    return heavy((small_arms.Z, small_arms.Y, small_arms.X))
 
 
 @pytest.fixture
 def mounted_arm():
     """An arm at a wall: gravity loads all of its joints, so that a load is told from a slip."""
-    return heavy((arms.X, arms.Y, arms.Z))
+    return heavy((small_arms.X, small_arms.Y, small_arms.Z))
 
 
 @pytest.mark.parametrize("seed", SEEDS[:5])

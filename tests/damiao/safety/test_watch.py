@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import mit_command, state, undoubted_replies
-from rigs.watched_samples import (
+from rigs.motors.damiao_rig import mit_command, state, undoubted_replies
+from rigs.motors.watched_samples import (
     CYCLE,
     KD,
     KP,

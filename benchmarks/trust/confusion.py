@@ -1,0 +1,554 @@
+"""Which faults the checks name for logs and models with one known fault, and what others cost.
+
+    python -m benchmarks.trust.confusion MODELS_FOLDER [--arms ur5e iiwa14 ...]
+        [--causes ripple ...]
+        [--deviations real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers] [--jobs 1]
+
+``--causes`` takes the names of causes, "usual" for those of ``benchmarks.trust.confusion_causes``
+and "mistakes" for those of ``benchmarks.trust.confusion_mistakes``. Logs are judged in so many
+processes at once as ``--jobs`` says.
+
+Arms are drawn as in ``benchmarks.trust.real_arms``, one per model, deviation and seed, the same for
+all causes and durations, so that rows can be compared. Causes without a fault ("right" has logs of
+6, 8, 15 and 60 s) show what right logs are accused of. Log and model are files, and what is judged
+are the answers of the commands ``log`` and ``identify``. Another checkout is judged by
+
+    mkdir judge && ln -s $PWD/benchmarks $PWD/rigs judge/
+    PYTHONPATH=judge:OTHER_CHECKOUT python -P -m benchmarks.trust.confusion MODELS_FOLDER
+
+Per cause, logs are counted by what is said of them: by findings of ``log`` of any level, motors
+over two joints that the estimate finds, and remarks of the estimate:
+
+rightly     every fault has its right name (and that of the joint or body, where one is wrong, and
+            of no other joint)
+doubt       no right name, or not of every fault: a finding lists several causes that fit equally
+            well, or says that a part of the torque is not explained, or the verdict is against it
+misnamed    all findings have other names, the right one blames a second joint, or a command crashes
+silent      nothing is said
+
+Then they are counted by what they cost:
+
+stopped     refused, or doubted: a user has no answer
+no use      there is an answer, but its verdict is against it
+harmful     a trusted mass of the last link that is 20 % and two stated errors off: of the answer,
+            or of the one after following advice: options or columns that a finding states, or
+            accepting its doubts
+off         a trusted answer's mass that is two stated errors off (harmful ones included)
+sound       any other trusted mass
+
+A command that ends with a traceback is found as "crash", and refused. Then come the mean processor
+time of both commands and each set of names. Where the payload changes within a log, the nearest of
+the true masses counts. Below each cause are its failures: wrong logs that are not named rightly,
+right logs that are named, harmful answers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.trust.answers import (
+    CRASH,
+    bare_model_text,
+    identify_logs,
+    model_text,
+    number,
+    run_command,
+    write_log,
+)
+from benchmarks.trust.confusion_causes import CAUSES as USUAL_CAUSES
+from benchmarks.trust.confusion_causes import RIGHT, Cause, Scene, draw_scene
+from benchmarks.trust.confusion_mistakes import MISTAKES
+from benchmarks.trust.real_arms import arms_parser
+from rigs.arms.wrong_arms import ARMS, DEVIATIONS
+from rigs.files.params import motors, rows
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Recording
+
+GROUPS = {"usual": USUAL_CAUSES, "mistakes": MISTAKES}
+CAUSES = {**USUAL_CAUSES, **MISTAKES}
+"""Cause by its name."""
+CRASHED = "crash"
+"""Name of the finding that a command ended with a traceback."""
+RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
+"""Durations of right logs [s]."""
+NAMINGS = ("rightly", "doubt", "misnamed", "silent")
+COSTS = ("stopped", "no use", "harmful", "off", "sound")
+FAR = 0.2
+SURE = 2.0
+"""Part of the true mass, and stated errors, by which an answer is off."""
+SHOWN_TEXT = 110
+"""Characters of a finding that are printed."""
+ALTERNATIVES = "; or "
+"""Text between causes that fit equally well."""
+OTHER_ARM = "the model of another arm"
+"""Text before a fault that only makes the log of another arm fit a little better."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A finding of the command ``log``, as its JSON has it."""
+
+    about: str
+    level: str
+    text: str
+    options: tuple[str, ...] = ()
+    correction: dict[str, Any] | None = None
+
+    @classmethod
+    def of_crash(cls, messages: str) -> Finding:
+        """Return the finding that a command crashed, with the last line of its traceback."""
+        return cls(CRASHED, "refuses", messages.strip().rpartition("\n")[2])
+
+    @classmethod
+    def of_entry(cls, entry: dict[str, Any]) -> Finding:
+        """Return a finding of an entry of the JSON."""
+        options = tuple(entry.get("options") or ())
+        correction = entry.get("correction")
+        return cls(entry["about"], entry["level"], entry["text"], options, correction)
+
+    def corrected(self, log: Recording) -> Recording:
+        """Return a log with its columns put right, as the finding says."""
+        if self.correction is None:
+            return log
+        columns = {"q": log.q, "qd": log.qd, "tau": log.tau}
+        attributes = {"position": ("q", "qd"), "torque": ("tau",)}
+        for quantity, names in attributes.items():
+            for name in names:
+                values = columns[name]
+                if values is not None:
+                    order, factors = zip(*self.correction[quantity])
+                    columns[name] = values[:, list(order)] * factors
+        return Recording(log.time, columns["q"], columns["qd"], columns["tau"])
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Result of ``identify``: the last link's mass [kg], and what is said of it.
+
+    Attributes:
+        mass, error, true_mass: NaN where the identification fails.
+        is_trusted: whether the verdict is for it.
+        motors: those over two joints that are found.
+        remarks: what is said of the result.
+        crash: the last line of a traceback; "" for none.
+    """
+
+    mass: float
+    error: float
+    true_mass: float
+    is_trusted: bool
+    motors: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    crash: str = ""
+
+    @property
+    def is_far(self) -> bool:
+        """Return whether the mass is off by more than 20 %."""
+        return abs(self.mass - self.true_mass) > FAR * self.true_mass
+
+    @property
+    def is_beyond_error(self) -> bool:
+        """Return whether the mass is off by more than two stated errors."""
+        return abs(self.mass - self.true_mass) > SURE * self.error
+
+    @property
+    def is_harmful(self) -> bool:
+        """Return whether it is trusted and clearly wrong."""
+        return self.is_trusted and self.is_far and self.is_beyond_error
+
+    def describe(self) -> str:
+        """Return it in words."""
+        if self.crash:
+            return f"CRASH: {self.crash}"
+        if np.isnan(self.mass):
+            return "the identification fails"
+        verdict = "trusted" if self.is_trusted else "not trusted"
+        return f"mass {self.mass:.3g} ± {self.error:.2g} kg ({self.true_mass:.3g}), {verdict}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the commands say of one log.
+
+    Attributes:
+        findings: of the command ``log``, and motors over two joints.
+        seconds: processor time of both commands.
+        answer: None where the log is stopped or no answer is asked for.
+        advised: answers after following the advice of findings that stop the log.
+        culprit: name of the joint or body that is wrong; "" where none is alone.
+        innocents: names of the other joints, where one joint is wrong.
+    """
+
+    findings: tuple[Finding, ...]
+    seconds: float
+    answer: Answer | None
+    advised: tuple[Answer, ...] = ()
+    culprit: str = ""
+    innocents: tuple[str, ...] = ()
+
+    @property
+    def is_stopped(self) -> bool:
+        """Return whether the log is refused or doubted."""
+        return any(finding.level != "says" for finding in self.findings)
+
+    @property
+    def is_crash(self) -> bool:
+        """Return whether a command ended with a traceback."""
+        answers = self.advised if self.answer is None else (self.answer, *self.advised)
+        return any(f.about == CRASHED for f in self.findings) or any(
+            answer.crash for answer in answers
+        )
+
+    def blames_innocents(self, cause: Cause) -> bool:
+        """Return whether a finding with a right name is about a second joint, too."""
+        names = {name for fault in cause.faults for name in fault}
+        texts = [f.text for f in self.findings if f.about in names]
+        return any(name in text for name in self.innocents for text in texts)
+
+    @property
+    def names(self) -> str:
+        """Return the names of the findings, with their levels."""
+        named = dict.fromkeys(f"{f.about}:{f.level}" for f in self.findings)
+        return "+".join(named) or "-"
+
+    def classify_naming(self, cause: Cause) -> str:
+        """Return how the cause is named, see the module."""
+        texts = [f.text for f in self.findings]
+        texts += () if self.answer is None else self.answer.remarks
+        ties = [f for f in self.findings if ALTERNATIVES in f.text]
+        names = {f.about for f in self.findings if f not in ties}
+        if any(OTHER_ARM in text for text in texts):
+            names.add("other arm")
+        named = [not names.isdisjoint(fault) for fault in cause.faults]
+        if cause.words and any(re.search(cause.words, text) for text in texts):
+            named = [True]
+        is_culprit_said = any(self.culprit in text for text in ["", *texts])
+        if self.is_crash or self.blames_innocents(cause):
+            return "misnamed"
+        if cause.faults and all(named) and is_culprit_said:
+            return "rightly"
+        is_untrusted = self.answer is not None and not self.answer.is_trusted
+        if not self.findings:
+            return "doubt" if is_untrusted and cause.faults else "silent"
+        is_withheld = all(f.about == "unexplained" for f in self.findings)
+        return "doubt" if any(named) or ties or is_withheld else "misnamed"
+
+    def classify_costs(self) -> Iterator[str]:
+        """Yield what the log costs its user, see the module."""
+        if self.is_crash:
+            yield CRASHED
+        if self.is_stopped:
+            yield "stopped"
+        answers = self.advised if self.answer is None else (self.answer, *self.advised)
+        if any(answer.is_harmful for answer in answers):
+            yield "harmful"
+        if self.answer is None:
+            return
+        if not self.answer.is_trusted:
+            yield "no use"
+        elif self.answer.is_beyond_error:
+            yield "off"
+        else:
+            yield "sound"
+
+
+class Judge:
+    """Runs the commands on the files of one scene in a folder."""
+
+    def __init__(self, scene: Scene, folder: Path) -> None:
+        self.scene = scene
+        self.folder = folder
+        own_name = "model.urdf" if scene.urdf else "model.xml"
+        self.model = scene.other_path or folder / own_name
+        self.joint_names = scene.robot.joint_names
+        if scene.other_path is not None:
+            self.joint_names = load_robot_model(scene.other_path).joint_names
+        if scene.other_path is None:
+            self.model.write_text(scene.urdf or self.edited_text())
+
+    def edited_text(self) -> str:
+        """Return the right model, or what the scene makes of it, as MJCF."""
+        scene = self.scene
+        if scene.edit is None:
+            return bare_model_text(scene.path)
+        return model_text(scene.path, scene.edit)
+
+    @property
+    def innocents(self) -> tuple[str, ...]:
+        """Return the names of the other joints, where one joint is wrong; else ()."""
+        names = self.joint_names
+        if self.scene.culprit not in names:
+            return ()
+        return tuple(name for name in names if name != self.scene.culprit)
+
+    def write_logs(self, logs: Sequence[Recording]) -> list[Path]:
+        """Write logs and return their files."""
+        paths = [self.folder / f"log{k}.csv" for k in range(len(logs))]
+        for path, log in zip(paths, logs):
+            write_log(path, self.joint_names, log)
+        return paths
+
+    def find(self, path: Path) -> Iterator[Finding]:
+        """Yield the findings of the command ``log`` on a log."""
+        code, output, messages = run_command("log", path, self.model, "--json")
+        content = json.loads(output) if output.startswith("{") else {}
+        entries = content.get("findings", ())
+        yield from map(Finding.of_entry, entries)
+        if CRASH in messages:
+            yield Finding.of_crash(messages)
+        elif code and not entries:
+            error = [line for line in messages.splitlines() if "error:" in line]
+            yield Finding("error", "refuses", "".join(error[:1]) or messages)
+
+    def identify(self, paths: Sequence[Path], *options: str) -> Answer:
+        """Return the answer of ``identify``; one that fails is not trusted."""
+        true_masses = self.scene.last_masses
+        content, printed = identify_logs(self.folder, self.model, paths, *options)
+        if content is None:
+            crash = Finding.of_crash(printed).text if CRASH in printed else ""
+            return Answer(np.nan, np.nan, true_masses[0], False, crash=crash)
+        row = rows(content)[content["body_name"], "mass"]
+        mass = float(row["value"])
+        return Answer(
+            mass,
+            number(row["error"]),
+            min(true_masses, key=lambda true: abs(true - mass)),
+            content["valid"]["trustworthy"],
+            tuple(motors(content)),
+            tuple(remark["text"] for remark in content["remarks"]),
+        )
+
+    def follow_advice(self, findings: Sequence[Finding]) -> Iterator[Answer]:
+        """Yield the answers after following findings' advice, and after accepting doubts."""
+        for finding in findings:
+            if finding.options or finding.correction:
+                logs = [finding.corrected(log) for log in self.scene.logs]
+                yield self.identify(self.write_logs(logs), *finding.options)
+        paths = self.write_logs(self.scene.logs)
+        doubted = dict.fromkeys(f.about for f in findings if f.level == "doubts")
+        if doubted and all(f.level != "refuses" for f in findings):
+            options = [word for name in doubted for word in ("--accept", name)]
+            yield self.identify(paths, *options)
+
+
+def check_scene(scene: Scene, is_answered: bool) -> Outcome:
+    """Return what the commands say of a scene's log, and where no finding stops it, its answer."""
+    with tempfile.TemporaryDirectory() as folder:
+        judge = Judge(scene, Path(folder))
+        paths = judge.write_logs(scene.logs)
+        start = time.process_time()
+        findings = [finding for path in paths for finding in judge.find(path)]
+        seconds = time.process_time() - start
+        advised: tuple[Answer, ...] = ()
+        answer = None
+        if is_answered and any(finding.level != "says" for finding in findings):
+            advised = tuple(judge.follow_advice(findings))
+        elif is_answered:
+            answer = judge.identify(paths)
+            seconds = time.process_time() - start
+    # The estimate names these itself, for it knows on which side of the gears sensors are.
+    for name in () if answer is None else answer.motors:
+        findings.append(Finding("coupling", "says", f"a motor turns with {name}"))
+    found = tuple(findings)
+    return Outcome(found, seconds, answer, advised, scene.culprit, judge.innocents)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log: its cause, arm, deviation, duration [s] and seed."""
+
+    cause: str
+    arm_name: str
+    deviation: str
+    duration: float
+    seed: int
+
+    @property
+    def row(self) -> str:
+        """Return the title of the table's row that the case belongs to."""
+        is_right = self.cause == RIGHT
+        return (
+            f"{RIGHT} {self.deviation} {self.duration:g} s" if is_right else self.cause
+        )
+
+    def run(self, models: Path, is_answered: bool) -> Outcome:
+        """Return the outcome of the case's log, of an arm that differs from its model file."""
+        path = models / ARMS[self.arm_name]
+        cause = CAUSES[self.cause]
+        duration = cause.duration or self.duration
+        scene = draw_scene(path, self.arm_name, self.deviation, duration, self.seed)
+        return check_scene(cause.spoil(scene), is_answered)
+
+    def is_failure(self, outcome: Outcome) -> bool:
+        """Return whether the cause is not named as it should be, or the answer is harmful."""
+        cause = CAUSES[self.cause]
+        expected_naming = "rightly" if cause.faults else "silent"
+        naming = outcome.classify_naming(cause)
+        return naming != expected_naming or "harmful" in outcome.classify_costs()
+
+    def describe_failure(self, outcome: Outcome) -> str:
+        """Return one line on it."""
+        about = f"{self.arm_name} {self.deviation} {self.duration:g} s seed {self.seed}"
+        texts = []
+        for finding in outcome.findings:
+            texts.append(
+                f"{finding.level}: {finding.about}: {finding.text[:SHOWN_TEXT]}"
+            )
+        texts = texts or ["nothing is said"]
+        answers = [] if outcome.answer is None else [outcome.answer.describe()]
+        answers += [f"after advice: {answer.describe()}" for answer in outcome.advised]
+        return "  " + " | ".join([about, *texts, *answers])
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Counts of logs by naming, cost and names of findings, and times of the checks [s]."""
+
+    namings: Counter[str]
+    costs: Counter[str]
+    names: Counter[str]
+    seconds: list[float]
+
+    @staticmethod
+    def empty() -> Tally:
+        """Return the counts of no logs."""
+        return Tally(Counter(), Counter(), Counter(), [])
+
+    def add(self, case: Case, outcome: Outcome) -> None:
+        """Count one log: how it is named, what its answer costs, names and time."""
+        self.namings[outcome.classify_naming(CAUSES[case.cause])] += 1
+        self.costs.update(outcome.classify_costs())
+        self.names[outcome.names] += 1
+        self.seconds.append(outcome.seconds)
+
+    def join(self, other: Tally) -> None:
+        """Add another tally's counts."""
+        self.namings.update(other.namings)
+        self.costs.update(other.costs)
+        self.names.update(other.names)
+        self.seconds.extend(other.seconds)
+
+    def line(self, row: str) -> str:
+        """Return the row of the table."""
+        counts = [len(self.seconds), *(self.namings[naming] for naming in NAMINGS)]
+        counts += [self.costs[cost] for cost in COSTS]
+        numbers = "".join(f"{count:>9}" for count in counts)
+        names = ", ".join(
+            f"{names} {count}" for names, count in self.names.most_common()
+        )
+        return f"{row:<31}{numbers}{np.mean(self.seconds):>7.2f} s  {names}"
+
+
+def cases_of(cause: str, options: argparse.Namespace) -> Iterator[Case]:
+    """Yield the logs of a cause, row after row."""
+    for deviation in options.deviations:
+        for duration in RIGHT_DURATIONS if cause == RIGHT else (options.duration,):
+            for arm_name in options.arms:
+                for seed in range(
+                    options.first_seed, options.first_seed + options.seeds
+                ):
+                    yield Case(cause, arm_name, deviation, duration, seed)
+
+
+def print_cause(cases: Sequence[Case], outcomes: Iterator[Outcome]) -> Tally:
+    """Print the rows of a cause and its failures; return the counts of all its logs.
+
+    Args:
+        cases: of the cause.
+        outcomes: yields those of these cases and of later ones.
+    """
+    total = Tally.empty()
+    rows: dict[str, Tally] = {}
+    failures: list[str] = []
+    for case in cases:
+        outcome = next(outcomes)
+        for tally in (total, rows.setdefault(case.row, Tally.empty())):
+            tally.add(case, outcome)
+        if case.is_failure(outcome):
+            failures.append(case.describe_failure(outcome))
+    for row, tally in rows.items():
+        print(tally.line(row))
+    print(*failures, sep="\n", end="\n" * bool(failures), flush=True)
+    return total
+
+
+def causes_by_name(names: Sequence[str]) -> list[str]:
+    """Return the names of causes, those of a group in place of the group's."""
+    return [cause for name in names for cause in GROUPS.get(name, (name,))]
+
+
+def print_share(title: str, numerator: int, denominator: int) -> None:
+    """Print a fraction as counts and in percent; nothing where there is no case."""
+    if denominator:
+        print(
+            f"{title}: {numerator} of {denominator}, {100.0 * numerator / denominator:.1f} %"
+        )
+
+
+def main() -> int:
+    """Print the table."""
+    parser = arms_parser(__doc__)
+    parser.add_argument(
+        "--causes", nargs="+", default=list(GROUPS), choices=[*GROUPS, *CAUSES]
+    )
+    parser.add_argument("--deviations", nargs="+", default=["real"], choices=DEVIATIONS)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument(
+        "--duration", type=float, default=20.0, help="of wrong logs [s]"
+    )
+    parser.add_argument(
+        "--no-answers", action="store_true", help="only look at the logs"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="processes at once")
+    options = parser.parse_args()
+    titles = "".join(f"{title:>9}" for title in ("logs", *NAMINGS, *COSTS))
+    print(f"{'cause':<31}{titles}{'time':>9}  names", flush=True)
+    causes = causes_by_name(options.causes)
+    cases = {cause: list(cases_of(cause, options)) for cause in causes}
+    every_case = [case for cause in causes for case in cases[cause]]
+    judge_case = partial(
+        Case.run, models=options.models, is_answered=not options.no_answers
+    )
+    with ExitStack() as stack:
+        apply: Callable[..., Iterator[Outcome]] = map
+        if options.jobs > 1:
+            apply = stack.enter_context(ProcessPoolExecutor(options.jobs)).map
+        outcomes = apply(judge_case, every_case)
+        tallies = {cause: print_cause(cases[cause], outcomes) for cause in causes}
+    right_total = Tally.empty()
+    wrong_total = Tally.empty()
+    for cause, tally in tallies.items():
+        (wrong_total if CAUSES[cause].faults else right_total).join(tally)
+    wrong_count = len(wrong_total.seconds)
+    right_count = len(right_total.seconds)
+    print()
+    for naming in NAMINGS:
+        print_share(f"wrong logs, {naming}", wrong_total.namings[naming], wrong_count)
+    right_named = right_count - right_total.namings["silent"]
+    print_share("right logs named", right_named, right_count)
+    print_share("right logs stopped", right_total.costs["stopped"], right_count)
+    print_share("right logs of no use", right_total.costs["no use"], right_count)
+    print_share("harmful of wrong logs", wrong_total.costs["harmful"], wrong_count)
+    print_share("harmful of right logs", right_total.costs["harmful"], right_count)
+    crash_count = wrong_total.costs[CRASHED] + right_total.costs[CRASHED]
+    print_share("crashed", crash_count, wrong_count + right_count)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

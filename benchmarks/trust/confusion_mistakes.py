@@ -1,0 +1,546 @@
+"""Mistakes that people make beside the causes of ``benchmarks.trust.confusion_causes``.
+
+They are mistakes that were found Usable and wrong, blamed on something else, or refused though
+right, so that many are not named rightly yet. Each says what a roboticist would want to be told,
+not what the program says today. Where there is no name of a check for that, its words decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.trust.answers import bare_model_text
+from benchmarks.trust.confusion_causes import (
+    SCALE,
+    Cause,
+    Edit,
+    Scene,
+    edit_bodies,
+    multiply_body,
+    torque_of_payload,
+    turned_signs,
+)
+from benchmarks.trust.right_logs import one_at_a_time, sampled
+from benchmarks.trust.wrong_logs import carrying_joint
+from rigs.arms.wrong_arms import PRESLIDING, WrongArm, noise_samples
+from rigs.files.urdf import urdf_of
+from robot_sysid import spatial
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.records import Array, Motion
+
+FLANGE_MASS = 1.5
+"""Mass of what hangs on the flange [kg]."""
+MORE_MASS = 1.0
+"""Mass that a forearm carries beside its own [kg]."""
+LATE = 0.03
+"""[s]"""
+Rows = NDArray[np.integer[Any]]
+"""Numbers of rows of a log (m,)."""
+BACKLASH = np.radians(1.0)
+"""Angle by which a gear is loose [rad]."""
+HELD_TORQUE = 0.9
+"""Torque of a joint that sticks, of its dry friction."""
+CENTRE_OFF = np.array([0.04, 0.04, 0.02])
+"""Distance of a centre of mass from where the model has it, 6 cm [m]."""
+BIAS = 0.1
+"""Torque of an actuator that pushes all the time, of what its joint carries."""
+WEAK = 1e-3
+"""Constant of a motor that brakes next to nothing by its voltage [N m/A, V s/rad]."""
+DENORMAL = 1e-308
+"""Factor that makes next to nothing of a torque."""
+
+
+def forearm_of(scene: Scene) -> int:
+    """Return the number of the link behind the elbow, the wrist being the last three joints."""
+    return scene.robot.n_joints - 4
+
+
+def loaded_joint(scene: Scene) -> int:
+    """Return a joint, drawn from those that gravity loads."""
+    weight = np.sqrt(np.mean(scene.still**2, axis=0))
+    return int(scene.rng.choice(np.flatnonzero(weight >= 0.2 * weight.max())))
+
+
+def light_joint(scene: Scene) -> int:
+    """Return the joint of the least torque, the first one left out, which carries no weight."""
+    size = np.mean(scene.log.tau[:, 1:] ** 2, axis=0)
+    return int(np.argmin(size)) + 1
+
+
+def blame(scene: Scene, joint: int) -> Scene:
+    """Return the scene with a joint that alone is wrong."""
+    return replace(scene, culprit=scene.robot.joint_names[joint])
+
+
+def at_joint(scene: Scene, joint: int, value: float, others: float) -> Array:
+    """Return numbers (n,), of one joint and of all others."""
+    return np.where(np.arange(scene.robot.n_joints) == joint, value, others)
+
+
+def with_torques(scene: Scene, tau: Array) -> Scene:
+    """Return the scene with other torques (N, n) in its log [N m]."""
+    return replace(scene, log=replace(scene.log, tau=tau))
+
+
+def with_positions(scene: Scene, q: Array) -> Scene:
+    """Return the scene with other positions (N, n) in its log [rad]."""
+    return replace(scene, log=replace(scene.log, q=q))
+
+
+def record(
+    scene: Scene, arm: WrongArm, motion: Motion, noise_factor: float = 1.0
+) -> Scene:
+    """Return the scene of another arm or motion, with the noise of the scene times a factor."""
+    rigid, friction = scene.arm.torques(scene.motion)
+    noise = scene.log.tau - scene.arm.scales * rigid - friction - scene.arm.offset
+    log = arm.log(motion, noise_factor * noise)
+    rigid, _ = arm.torques(motion)
+    return replace(
+        scene, arm=arm, motion=motion, log=log, rigid=rigid, friction=log.tau - rigid
+    )
+
+
+# ---- torques
+
+
+def external_with_payload(scene: Scene) -> Scene:
+    """Return a log of external torque, the controller's model taken off, of what is carried."""
+    payload = spatial.theta_from_com(
+        FLANGE_MASS, np.array([0.02, 0.01, 0.06]), 0.002 * FLANGE_MASS * np.eye(3)
+    )
+    carried = torque_of_payload(scene, payload)
+    masses = (float(scene.theta[0]) + FLANGE_MASS,)
+    return replace(
+        scene.with_more_torque(carried - scene.rigid), rigid=carried, last_masses=masses
+    )
+
+
+def all_times(factor: float, scene: Scene) -> Scene:
+    """Return a log with all torques times a factor."""
+    return scene.with_torque_times(np.full(scene.robot.n_joints, factor))
+
+
+def joint_times(joint: int | None, factor: float, scene: Scene) -> Scene:
+    """Return a log with the torque of one joint times a factor; None for one that gravity loads."""
+    joint = loaded_joint(scene) if joint is None else joint
+    return blame(scene.with_torque_times(at_joint(scene, joint, factor, 1.0)), joint)
+
+
+def unsigned_current(scene: Scene) -> Scene:
+    """Return a log of currents without a sign as torque."""
+    return with_torques(scene, np.abs(scene.log.tau))
+
+
+def with_coloured_noise(scene: Scene, torque: Array, share: float) -> Scene:
+    """Return the scene with other torque (N, n) and noise that has a memory, of it, as its log."""
+    noise = noise_samples(scene.rng, torque.shape, white=False)
+    return with_torques(scene, torque + share * scene.usual_torque * noise)
+
+
+def model_torque_with_coloured_noise(scene: Scene) -> Scene:
+    """Return a log of the model's own torques with 0.8 % of noise that has a memory."""
+    return with_coloured_noise(scene, ArmDynamics(scene.robot)(scene.motion), 0.008)
+
+
+def commanded_torque(scene: Scene) -> Scene:
+    """Return a log of commanded torques of a drive that adds the friction's itself."""
+    return with_coloured_noise(scene, scene.rigid, 0.02)
+
+
+def light_sign(scene: Scene) -> Scene:
+    """Return a log in which the sign of the torque of a joint that carries little is wrong."""
+    joint = light_joint(scene)
+    return blame(scene.with_torque_times(at_joint(scene, joint, -1.0, 1.0)), joint)
+
+
+def both_signs(from_end: int, scene: Scene) -> Scene:
+    """Return a log in which position and torque of one of the last joints have the wrong sign."""
+    joint = scene.robot.n_joints - from_end
+    signs = at_joint(scene, joint, -1.0, 1.0)
+    turned = with_positions(scene.with_torque_times(signs), signs * scene.log.q)
+    return blame(turned, joint)
+
+
+def late_by_30_ms(scene: Scene) -> Scene:
+    """Return a log whose torques are 30 ms late."""
+    time = scene.log.time
+    tau = [np.interp(time - LATE, time, column) for column in scene.log.tau.T]
+    return with_torques(scene, np.stack(tau, axis=1))
+
+
+def zero_column(scene: Scene) -> Scene:
+    """Return a log in which the torque of a joint that gravity loads is zero throughout."""
+    joint = loaded_joint(scene)
+    return blame(scene.with_torque_times(at_joint(scene, joint, 0.0, 1.0)), joint)
+
+
+def denormal_torque(scene: Scene) -> Scene:
+    """Return a log with torques of 1e-308, as memory that was never written has."""
+    return with_torques(scene, DENORMAL * scene.log.tau)
+
+
+def denormal_joint(scene: Scene) -> Scene:
+    """Return a log with such torque of a joint that gravity loads."""
+    return joint_times(None, DENORMAL, scene)
+
+
+# ---- positions and gears
+
+
+def zero_off(degrees: float, scene: Scene) -> Scene:
+    """Return a log in which the zero of a joint that gravity loads is off."""
+    joint = loaded_joint(scene)
+    offset = at_joint(scene, joint, np.radians(degrees), 0.0)
+    return blame(with_positions(scene, scene.log.q + offset), joint)
+
+
+def backlash(scene: Scene) -> Scene:
+    """Return a log of an arm with a loose gear: the motor is ahead where its torque presses."""
+    joint = loaded_joint(scene)
+    pressed = scene.rigid[:, joint] / (0.05 * scene.usual_torque[joint])
+    play = 0.5 * BACKLASH * np.tanh(pressed)
+    q = scene.log.q + np.outer(play, at_joint(scene, joint, 1.0, 0.0))
+    return blame(with_positions(scene, q), joint)
+
+
+# ---- time and rows
+
+
+def time_times(factor: float, scene: Scene) -> Scene:
+    """Return a log whose time is too long by a factor."""
+    return replace(scene, log=replace(scene.log, time=factor * scene.log.time))
+
+
+def with_rows(scene: Scene, rows: Rows, time: Array | None = None) -> Scene:
+    """Return a log of some rows of a log, with their own or other times [s]."""
+    log = scene.log
+    time = log.time[rows] if time is None else time
+    return replace(scene, log=replace(log, time=time, q=log.q[rows], tau=log.tau[rows]))
+
+
+def rows_with_gap(scene: Scene) -> Rows:
+    """Return the rows of a log without one second in its middle third."""
+    time = scene.log.time
+    start = scene.rng.uniform(0.35, 0.65) * time[-1]
+    return np.flatnonzero((time < start) | (time > start + 1.0))
+
+
+def gap(scene: Scene) -> Scene:
+    """Return a log without one second, of which the time stamps tell."""
+    return with_rows(scene, rows_with_gap(scene))
+
+
+def second_missing(scene: Scene) -> Scene:
+    """Return a log without one second, its time counted from the rows."""
+    rows = rows_with_gap(scene)
+    return with_rows(scene, rows, scene.log.time[: len(rows)])
+
+
+def rows_twice(scene: Scene) -> Scene:
+    """Return a log in which a tenth of the rows is written twice."""
+    count = len(scene.log)
+    twice = scene.rng.choice(count, count // 10, replace=False)
+    return with_rows(scene, np.sort(np.concatenate([np.arange(count), twice])))
+
+
+def swapped_rows(scene: Scene) -> Scene:
+    """Return a log in which twenty rows are written after the row behind them."""
+    rows = np.arange(len(scene.log))
+    for place in scene.rng.integers(0, len(rows) - 1, 20):
+        rows[[place, place + 1]] = rows[[place + 1, place]]
+    return with_rows(scene, rows)
+
+
+def late_stamps(scene: Scene) -> Scene:
+    """Return a right log whose time stamps are those of arrival, up to one period late."""
+    time = scene.log.time
+    late = scene.rng.uniform(0.0, float(time[1] - time[0]), len(time))
+    return replace(scene, log=replace(scene.log, time=time + late))
+
+
+# ---- right logs of other motions
+
+
+def noisy(scene: Scene) -> Scene:
+    """Return a right log with five times the usual noise."""
+    return record(scene, scene.arm, scene.motion, 5.0)
+
+
+def small_motion(scene: Scene) -> Scene:
+    """Return a right log of a fifth of the motion."""
+    motion = scene.motion
+    middle = np.mean(motion.q, axis=0)
+    small = Motion(
+        motion.time,
+        middle + 0.2 * (motion.q - middle),
+        0.2 * motion.qd,
+        0.2 * motion.qdd,
+    )
+    return record(scene, scene.arm, small)
+
+
+def joint_after_joint(scene: Scene) -> Scene:
+    """Return a right log in which one joint after the other moves."""
+    return record(scene, scene.arm, one_at_a_time(scene.plan, scene.rng))
+
+
+def stiction(scene: Scene) -> Scene:
+    """Return a right log in which friction holds a joint for the first third."""
+    motion = scene.motion
+    joint = carrying_joint(scene)
+    share = np.clip((motion.time / motion.time[-1] - 1.0 / 3.0) / 0.2, 0.0, 1.0)
+    freed = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    q = motion.q.copy()
+    q[:, joint] = q[0, joint] + freed * (q[:, joint] - q[0, joint])
+    moved = sampled(motion.time, q)
+    held = record(scene, scene.arm, moved)
+    # What the controller asks for in vain; it would move the joint with a little more.
+    holding = HELD_TORQUE * float(np.broadcast_to(scene.arm.coulomb, len(q[0]))[joint])
+    torque = (freed == 0.0) * holding * np.sin(motion.time)
+    return held.with_joint_torque(joint, torque)
+
+
+# ---- the arm and its model
+
+
+def edit_model(scene: Scene, edit: Edit) -> Scene:
+    """Return the scene with a model whose ``MjSpec`` is changed."""
+    return replace(scene, edit=edit)
+
+
+def loaded_forearm(scene: Scene) -> Scene:
+    """Return a log of an arm that has 1 kg more on its forearm, as of cables and a valve."""
+    thetas = scene.arm.thetas.copy()
+    index = forearm_of(scene)
+    _, com, _ = spatial.com_from_theta(thetas[index])
+    thetas[index] += spatial.theta_from_com(MORE_MASS, com, 1e-3 * np.eye(3))
+    loaded = record(scene, replace(scene.arm, thetas=thetas), scene.motion)
+    return replace(loaded, culprit=scene.robot.links[index].body_name)
+
+
+def light_forearm(scene: Scene) -> Scene:
+    """Return the scene with a model whose forearm has a quarter of its mass."""
+    name = scene.robot.links[forearm_of(scene)].body_name
+    return edit_bodies(scene, partial(multiply_body, 0.25, 0.25), name)
+
+
+def centre_off(scene: Scene) -> Scene:
+    """Return the scene with a model whose upper arm has its centre of mass 6 cm off."""
+
+    def change(body: Any) -> None:
+        body.ipos = body.ipos + CENTRE_OFF
+
+    return edit_bodies(scene, change, scene.robot.links[1].body_name)
+
+
+def small_inertias(scene: Scene) -> Scene:
+    """Return the scene with a model in which the inertias of two links are a tenth."""
+    names = [scene.robot.links[index].body_name for index in (1, forearm_of(scene))]
+
+    def edit(spec: Any) -> None:
+        for body in spec.bodies:
+            if body.name in names:
+                multiply_body(1.0, 0.1, body)
+
+    return replace(scene, edit=edit, culprit=names[0])
+
+
+def biased_actuator(scene: Scene) -> Scene:
+    """Return a log of an arm, and its model, with an actuator that pushes all the time."""
+    joint = loaded_joint(scene)
+    bias = BIAS * float(scene.usual_torque[joint])
+
+    def edit(spec: Any) -> None:
+        actuator = spec.add_actuator(name="pusher")
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        actuator.target = scene.robot.joint_names[joint]
+        actuator.gainprm[0] = 0.0
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.biasprm[0] = bias
+
+    pushed = scene.with_joint_torque(joint, np.full(len(scene.log), -bias))
+    return edit_model(pushed, edit)
+
+
+def friction_of_motors(scene: Scene) -> Scene:
+    """Return the scene with a model whose dry friction is that of its motors, after LuGre."""
+    coulomb = np.broadcast_to(scene.arm.coulomb, scene.robot.n_joints)
+
+    def edit(spec: Any) -> None:
+        for name, size in zip(scene.robot.joint_names, coulomb.tolist()):
+            spec.joint(name).frictionloss = 0.0
+            actuator = spec.add_actuator(name=f"motor_{name}")
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+            actuator.target = name
+            # Stiffness and damping of the bristles, friction when sliding and at rest, and the
+            # speed between them.
+            lugre = [size / PRESLIDING, 1e-2 * size / PRESLIDING, size, 1.3 * size, 0.1]
+            actuator.set_to_dcmotor([WEAK, WEAK], 1.0, lugre=lugre)
+
+    return edit_model(scene, edit)
+
+
+def yielding_springs(scene: Scene) -> Scene:
+    """Return the scene with a model whose dry friction is springs that yield, with pre-sliding."""
+    coulomb = np.broadcast_to(scene.arm.coulomb, scene.robot.n_joints)
+
+    def edit(spec: Any) -> None:
+        for name, size in zip(scene.robot.joint_names, coulomb.tolist()):
+            joint = spec.joint(name)
+            joint.frictionloss = 0.0
+            joint.stiffness[0] = size / PRESLIDING
+            is_degrees = spec.compiler.degree
+            joint.springyield = np.degrees(PRESLIDING) if is_degrees else PRESLIDING
+
+    return edit_model(scene, edit)
+
+
+def tied_joints(scene: Scene) -> Scene:
+    """Return a log of an arm whose forearm keeps its direction by rods, as its model says.
+
+    The shoulder's motor bears the forearm, too, and the elbow has none.
+    """
+    motion = scene.motion
+    shoulder, elbow = 1, forearm_of(scene)
+    middle = np.mean(motion.q, axis=0)
+    q, qd, qdd = motion.q.copy(), motion.qd.copy(), motion.qdd.copy()
+    q[:, elbow] = middle[elbow] - (q[:, shoulder] - middle[shoulder])
+    qd[:, elbow] = -qd[:, shoulder]
+    qdd[:, elbow] = -qdd[:, shoulder]
+    tied = record(scene, scene.arm, Motion(motion.time, q, qd, qdd))
+    tau = tied.log.tau.copy()
+    tau[:, shoulder] -= tau[:, elbow]
+    tau[:, elbow] = 0.0
+
+    def edit(spec: Any) -> None:
+        equality = spec.add_equality(name="rods")
+        equality.type = mujoco.mjtEq.mjEQ_JOINT
+        equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        equality.name1 = scene.robot.joint_names[elbow]
+        equality.name2 = scene.robot.joint_names[shoulder]
+        equality.data[:2] = middle[elbow] + middle[shoulder], -1.0
+
+    return edit_model(with_torques(tied, tau), edit)
+
+
+def impossible_inertia(scene: Scene) -> Scene:
+    """Return the scene with a URDF in which a point is missing in a moment of inertia."""
+    mj_model = mujoco.MjModel.from_xml_string(bare_model_text(scene.path))
+    name = scene.robot.links[forearm_of(scene)].body_name
+
+    def change(body_name: str, inertia: Array) -> Array:
+        if body_name == name:
+            least = int(np.argmin(np.diag(inertia)))
+            inertia[least, least] *= 1e3
+        return inertia
+
+    return replace(scene, urdf=urdf_of(mj_model, change), culprit=name)
+
+
+def joint_cause(spoil: Callable[[Scene], Scene], *names: str) -> Cause:
+    """Return a cause that is one fault of one joint."""
+    return Cause(spoil, (names,))
+
+
+CONTRADICTED = "probably wrong|contradict"
+"""Words for a number of the model that the log contradicts."""
+NO_TORQUE = (
+    "without torque|no torque|(are|is) ((all|but|nearly|next|to) )*zero|zero throughout"
+)
+"""Words for a column that has no torque in it."""
+TORQUE_MISTAKES = {
+    "external_with_payload": Cause(
+        external_with_payload, (("gravity",),), "external torque"
+    ),
+    "all_times_1_4": Cause(partial(all_times, 1.4), (SCALE,)),
+    "all_times_0_7": Cause(partial(all_times, 0.7), (SCALE,)),
+    "joint_half": joint_cause(partial(joint_times, None, 0.5), *SCALE),
+    "base_joint_half": joint_cause(partial(joint_times, 0, 0.5), *SCALE),
+    "base_joint_times_1_4": joint_cause(partial(joint_times, 0, 1.4), *SCALE),
+    "unsigned_current": Cause(
+        unsigned_current, (("unsigned",),), "without a sign|never (negative|below zero)"
+    ),
+    "model_torque_with_coloured_noise": Cause(
+        model_torque_with_coloured_noise, (("computed",),)
+    ),
+    "commanded_torque": Cause(commanded_torque, (("computed",),)),
+    "light_sign": joint_cause(light_sign, "sign"),
+    "wrist_signs": joint_cause(partial(both_signs, 2), "sign"),
+    "last_signs": joint_cause(partial(both_signs, 1), "sign"),
+    "four_signs": Cause(partial(turned_signs, 4), (("sign",),)),
+    "late_by_30_ms": Cause(late_by_30_ms, (("delay",),)),
+    "zero_column": Cause(zero_column, (("zero torque",),), NO_TORQUE),
+    "denormal_torque": Cause(denormal_torque, (("zero torque",),), NO_TORQUE),
+    "denormal_joint": Cause(denormal_joint, (("zero torque",),), NO_TORQUE),
+}
+"""Mistakes in the torque."""
+POSITION_MISTAKES = {
+    "zero_3_degrees": joint_cause(partial(zero_off, 3.0), "zero"),
+    "zero_10_degrees": joint_cause(partial(zero_off, 10.0), "zero"),
+    "zero_90_degrees": joint_cause(partial(zero_off, 90.0), "zero"),
+    "backlash": Cause(backlash, (("backlash",),), r"backlash|\bslack\b|\bplay\b"),
+}
+"""Mistakes of encoders and gears."""
+TIME_MISTAKES = {
+    "time_twice": Cause(partial(time_times, 2.0), (("clock",),)),
+    "time_half": Cause(partial(time_times, 0.5), (("clock",),)),
+    "second_missing": Cause(
+        second_missing, (("clock",),), "(samples|rows|time) .*(lost|missing)"
+    ),
+    "rows_twice": Cause(
+        rows_twice, (("clock",),), "written twice|same row|identical|duplicate"
+    ),
+    "swapped_rows": Cause(swapped_rows, (("clock",),), r"\bsort|out of order|swapped"),
+}
+"""Mistakes of clocks and of the rows of a file."""
+MODEL_MISTAKES = {
+    "loaded_forearm": Cause(loaded_forearm, (("link",),), CONTRADICTED),
+    "light_forearm": Cause(light_forearm, (("model", "link"),), CONTRADICTED),
+    "centre_off": Cause(centre_off, (("link",),), CONTRADICTED),
+    "small_inertias": Cause(
+        small_inertias,
+        (("link",),),
+        f"inertia.*({CONTRADICTED})|({CONTRADICTED}).*inertia",
+    ),
+    "biased_actuator": Cause(
+        biased_actuator, (("actuator",),), "actuator.*(bias|passive|force|torque)"
+    ),
+    # That an equality is ignored is no answer to it.
+    "tied_joints": Cause(tied_joints, (("tied",),), r"\btied\b|one coordinate"),
+    "impossible_inertia": Cause(
+        impossible_inertia,
+        (("inertia",),),
+        r"(i[xyz]{2}|inertia).*(times too (large|small)|point is missing|wrong digit)",
+    ),
+}
+"""Mistakes of models, and what models say that has to be counted."""
+if hasattr(mujoco.MjsActuator, "set_to_dcmotor"):  # Since MuJoCo 4.
+    MODEL_MISTAKES["friction_of_motors"] = Cause(
+        friction_of_motors, (("actuator",),), "actuator.*(friction|LuGre|passive)"
+    )
+RIGHT_LOGS = {
+    "late_stamps": Cause(late_stamps, ()),
+    "noisy": Cause(noisy, ()),
+    "small_motion": Cause(small_motion, ()),
+    "gap": Cause(gap, ()),
+    "joint_after_joint": Cause(joint_after_joint, (), duration=30.0),
+    "stiction": Cause(stiction, ()),
+}
+"""Right logs under odd conditions."""
+if hasattr(mujoco.MjsJoint, "springyield"):  # Since MuJoCo 4.
+    RIGHT_LOGS["yielding_springs"] = Cause(yielding_springs, ())
+MISTAKES: dict[str, Cause] = {
+    **TORQUE_MISTAKES,
+    **POSITION_MISTAKES,
+    **TIME_MISTAKES,
+    **MODEL_MISTAKES,
+    **RIGHT_LOGS,
+}
+"""Cause by its name; those without a fault are right."""

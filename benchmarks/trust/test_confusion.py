@@ -1,0 +1,31 @@
+"""Every cause of ``benchmarks.trust.confusion_mistakes`` makes a log and a model that can be
+read."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.trust.confusion import Judge
+from benchmarks.trust.confusion_causes import draw_scene
+from benchmarks.trust.confusion_mistakes import MISTAKES
+from rigs.arms.wrong_arms import ARMS
+from rigs.files.places import MODELS
+from robot_sysid.parser import load_robot_model
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not MODELS.exists(), reason="models of public arms are not here"
+    ),
+]
+
+
+@pytest.mark.parametrize("cause", MISTAKES.values(), ids=list(MISTAKES))
+def test_a_cause_makes_a_log_and_a_model(cause, tmp_path):
+    duration = cause.duration or 8.0
+    scene = draw_scene(MODELS / ARMS["ur5e"], "ur5e", "real", duration, 1)
+    judge = Judge(cause.spoil(scene), tmp_path)
+    assert all(path.exists() for path in judge.write_logs(judge.scene.logs))
+    robot = load_robot_model(judge.model)
+    assert robot.joint_names == judge.joint_names
+    assert len(judge.innocents) in (0, robot.n_joints - 1)
