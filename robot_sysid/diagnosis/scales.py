@@ -153,9 +153,12 @@ class TorqueScales:
     def common(self) -> tuple[float, float]:
         """(Scale of all joints, its relative error): (1, infinite) where links load none.
 
-        It may be clear where no joint's own is: a factor of a thousand is, to within one of two.
+        Of joints that links load: what others have is friction, and what their links have wrong. It
+        may be clear where no joint's own is: a factor of a thousand is, to within one of two.
         """
-        known = self.are_sure if np.any(self.are_sure) else self.is_loaded
+        known = self.are_sure & self.is_loaded
+        if not np.any(known):
+            known = self.is_loaded
         if not np.any(known):
             return 1.0, np.inf
         weights = self.errors[known] ** -2.0
@@ -193,7 +196,8 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     arm = fitted.arm if effects else fitted.arm.of(named)
     recordings, every = part_of_rows(fitted, ROWS)
     correlation = np.maximum(fitted.correlation / every, 1.0)
-    question = replace(fitted.question, link_scales=EXPECTED)
+    # The last link is free, whatever was asked: what hangs there is no scale.
+    question = replace(fitted.question, link_scales=EXPECTED, differing=None)
     point = arm.start()
     count = len(arm.joints)
     spread = OWN_PRIOR**2 * np.eye(count) + COMMON_PRIOR**2 * np.ones((count, count))
