@@ -249,7 +249,7 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
     # MuJoCo before 3.7 has no such damping.
-    stated = [term.stated(robot) for term in POLYNOMIAL]
+    stated = [term.stated_value(robot) for term in POLYNOMIAL]
     is_other = np.any(stated, axis=0) & (stated_tops(robot) == 0.0)
     if np.any(is_other):
         names = ", ".join(robot.joint_names[k] for k in np.flatnonzero(is_other))

@@ -26,7 +26,7 @@ from benchmarks.trust.confusion_causes import Scene, draw_scene
 from benchmarks.trust.real_arms import arms_parser
 from rigs.arms.wrong_arms import ARMS, resting_torque
 from rigs.logs.log_files import open_log
-from robot_sysid.diagnosis.gate import judge, usable
+from robot_sysid.diagnosis.gate import judge, usable_fit
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import EstimationOptions
@@ -212,7 +212,7 @@ def check_scene(
     write_measurement_csv(path, scene.robot.joint_names, [scene.log])
     log = open_log(scene.robot, path)
     judged = judge(scene.robot, [log], Question(EstimationOptions()), Progress())
-    fitted, _ = usable(judged, (), Progress())
+    fitted, _ = usable_fit(judged, (), Progress())
     if not answered:
         return fitted, (np.nan, False)
     result = robot_sysid.identify(scene.path, path)

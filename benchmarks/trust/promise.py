@@ -57,7 +57,7 @@ from rigs.files.page_tables import PageTable
 from rigs.files.places import DATA, MODELS, ROOT
 from robot_sysid.api.calls import identify, read_log
 from robot_sysid.diagnosis.gate import judge as diagnose
-from robot_sysid.diagnosis.gate import usable
+from robot_sysid.diagnosis.gate import usable_fit
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.options import EstimationOptions
@@ -571,7 +571,7 @@ def promised_on(
     fit. The arguments are those of ``errors_on``, and the log that makes the file.
     """
     question = Question(EstimationOptions())
-    fitted, _ = usable(diagnose(robot, [log], question, Progress()), (), Progress())
+    fitted, _ = usable_fit(diagnose(robot, [log], question, Progress()), (), Progress())
     held = fit_file(fitted).by_name
     terms = fitted.arm.of(t for t in fitted.arm.terms.values() if t.cause != DELAY)
     unknown = [piece.using(piece.used, tau=0.0 * piece.tau) for piece in pieces]

@@ -373,7 +373,7 @@ def joint_torque_regressor(
     for term in (ROTOR, VISCOUS, COULOMB):
         factor = term.torque(direction, motion.qd, motion.qdd, 0.0 * direction)
         columns.append(np.eye(robot.n_joints) * factor[:, None])
-        theta.append(term.stated(robot))
+        theta.append(term.stated_value(robot))
         names += map(term.key_of, robot.joint_names)
     Y = np.concatenate(columns, axis=-1)
     tau = ArmDynamics(robot)(motion)

@@ -150,7 +150,9 @@ class ColumnSearch:
             noise = np.maximum(np.sqrt(squares / counts), least)
         return likelihood(equations, values, counts, noise)
 
-    def best(self, tried: Sequence[Mistake], evidence: Evidence) -> list[Mistake]:
+    def best_together(
+        self, tried: Sequence[Mistake], evidence: Evidence
+    ) -> list[Mistake]:
         """Return the mistakes that fit best together, one after the other; [] for none."""
         before = self.score([])
         firsts = self._longer([], [*tried, *self._pairs(tried)])
@@ -238,7 +240,7 @@ def column_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     robot = fitted.arm.robot
     moves = np.any(fitted.sums.counts, axis=0)
     moving = fitted.arm.indices[moves].tolist()
-    found = ColumnSearch(fitted).best([*mistakes(robot, moving)], evidence)
+    found = ColumnSearch(fitted).best_together([*mistakes(robot, moving)], evidence)
     after = fitted
     findings: list[Finding] = []
     for number in range(1, len(found) + 1):

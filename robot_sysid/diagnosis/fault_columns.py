@@ -55,7 +55,7 @@ def fault_columns(fitted: Fit) -> list[Term]:
     def columns(rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 25): each fault's own, in the order of the names."""
         moves = rows.at_rest(robot, point.gravity)
-        weight = moves.torque(point.carried(rows.is_loaded))[:, arm.indices]
+        weight = moves.torque(point.carried_links(rows.is_loaded))[:, arm.indices]
         torque = arm.links_torque(rows, point)
         # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
         forces = np.stack([of_last(rows.at_rest(robot, axis)) for axis in -np.eye(3)])

@@ -106,7 +106,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if found:
         return found[:1], fitted
     if not search.explains:
-        return unexplained(fitted, search), right
+        return unexplained_findings(fitted, search), right
     named += name_faults(search.rounds[:MOST_NAMED])
     unmeasured = [each for each in named if each.about in UNMEASURED]
     if unmeasured:
@@ -150,7 +150,7 @@ def corrections(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
             yield tried
 
 
-def unexplained(fitted: Fit, search: Search) -> list[Finding]:
+def unexplained_findings(fitted: Fit, search: Search) -> list[Finding]:
     """Return what is said of a log that nothing explains.
 
     Friction that drives a joint is a turned sign whatever the model, and nothing else.

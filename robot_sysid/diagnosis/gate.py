@@ -231,7 +231,7 @@ def few_findings(rows: float, span: float, cutoff: float) -> Iterator[Finding]:
         yield Finding(Level.REFUSES, FaultName.TOO_LITTLE, text, remedy)
 
 
-def usable(
+def usable_fit(
     judged: Judged, accepted: Collection[str], progress: Progress
 ) -> tuple[Fit, tuple[str, ...]]:
     """Return the fit of logs and the notes on them; raise an error where a finding forbids its use.

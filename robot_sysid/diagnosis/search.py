@@ -70,7 +70,7 @@ class Search:
         """Whether no more is left unexplained than right logs leave."""
         return self.current.unexplained_share < UNEXPLAINED
 
-    def corrected(self, correction: Correction) -> Search:
+    def with_correction(self, correction: Correction) -> Search:
         """Return the state with the log as another correction has it."""
         return replace(self, start=correction, current=correction.fit)
 
@@ -103,7 +103,7 @@ def search_faults(start: Correction, evidence: Evidence) -> Search:
         scales = scales_beyond(offered, found, evidence)
         ties = equally_likely(offered)
         if scales is not None:
-            found = found.corrected(scales)
+            found = found.with_correction(scales)
         elif ties:
             found = found.joined_by(ties)
         else:

@@ -252,7 +252,7 @@ def stated_top(damping: Array, quadratic: Array, cubic: Array) -> Array:
 
 def stated_tops(robot: RobotModel) -> Array:
     """Return ``stated_top`` of each joint of an arm (n,), as its model states friction."""
-    quadratic, cubic = (term.stated(robot) for term in POLYNOMIAL)
+    quadratic, cubic = (term.stated_value(robot) for term in POLYNOMIAL)
     return stated_top(robot.friction.viscous, quadratic, cubic)
 
 
@@ -285,7 +285,7 @@ class Coupling:
         """The motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
         return tuple(term.at(self.name) for term in self.terms)
 
-    def stated(self, parameter: Parameter, mj_model: Any) -> float:
+    def stated_value(self, parameter: Parameter, mj_model: Any) -> float:
         """Return a compiled model's value of a parameter of this motor; 0 where it states none."""
         if self.tendon is None or not parameter.attribute:
             return 0.0

@@ -358,9 +358,9 @@ def coupling(
     if tendon is None:
         return motor
     motor = replace(motor, tendon=tendon)
-    of_model = [motor.stated(term, robot.mj_model) for term in Coupling.terms]
+    of_model = [motor.stated_value(term, robot.mj_model) for term in Coupling.terms]
     damping = (VISCOUS, *POLYNOMIAL)
-    stated = (np.array([motor.stated(term, robot.mj_model)]) for term in damping)
+    stated = (np.array([motor.stated_value(term, robot.mj_model)]) for term in damping)
     own = float(stated_top(*stated)[0])
     top = max(motor.top, own)
     return replace(motor, model=np.array(of_model), top=top, stated_top=own)

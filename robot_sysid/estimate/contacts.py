@@ -101,12 +101,12 @@ def without_turns(fitted: Fit) -> list[FilteredRecording]:
         zones = [recording.at_turns(travel) for travel in TURN_TRAVELS]
         for row, joint in enumerate(fitted.arm.indices.tolist()):
             near = [zone[:, joint] for zone in zones]
-            used[:, joint] &= ~contradicted(near, own[:, row])
+            used[:, joint] &= ~contradicted_zone(near, own[:, row])
         recordings.append(recording.only(used))
     return recordings
 
 
-def contradicted(zones: Sequence[Mask], residuals: Array) -> Mask:
+def contradicted_zone(zones: Sequence[Mask], residuals: Array) -> Mask:
     """Return the last of zones (K,), one around the other, in which residuals (K,) are large.
 
     From the narrowest one on, each has clearly larger ones in what it adds than beyond it.

@@ -141,7 +141,7 @@ class Equations:
         pairs = zip(self.sums.columns, self.sums.of_blocks(blocks))
         return np.array([np.vdot(gram, errors[at[:, None], at]) for at, gram in pairs])
 
-    def are_possible(self, values: Array) -> bool:
+    def are_possible_bodies(self, values: Array) -> bool:
         """Tell whether all bodies are possible at values (k,)."""
         return all(map(spatial.is_consistent, (values - self.least)[self.bodies]))
 
@@ -253,15 +253,15 @@ class Problem:
             fitted = replace(fitted, noise=fitted.residual_noise())
             if np.max(np.abs(fitted.noise / previous - 1.0)) < SAME_NOISE:
                 break
-        fitted = fitted.constrained(fitted.normal, False)
+        fitted = fitted.solve_within_bounds(fitted.normal, False)
         fitted = replace(fitted, free=fitted.values)
         if not possible:
             return fitted
-        if not equations.are_possible(fitted.free):
-            fitted = fitted.constrained(fitted.normal, True)
+        if not equations.are_possible_bodies(fitted.free):
+            fitted = fitted.solve_within_bounds(fitted.normal, True)
         return replace(fitted, left_out=LeftOut.EACH)
 
-    def expected(self, values: Mapping[str, float], noise: Array) -> Fit:
+    def expected_fit(self, values: Mapping[str, float], noise: Array) -> Fit:
         """Return the fit to expect of the question before there is data: errors and their causes.
 
         Args:
@@ -558,15 +558,17 @@ class Fit(Problem):
         ``values`` (k,) is the solution that may break them.
         """
         equations = self.equations
-        if equations.are_possible(values) and not np.any(equations.crossing(values)):
+        if equations.are_possible_bodies(values) and not np.any(
+            equations.crossing(values)
+        ):
             return values
         # Bounds first, as in the fit itself: each search for bodies takes the time of ten fits.
-        bounded = self.constrained(normal, False)
-        if equations.are_possible(bounded.values):
+        bounded = self.solve_within_bounds(normal, False)
+        if equations.are_possible_bodies(bounded.values):
             return bounded.values
-        return bounded.constrained(normal, True).values
+        return bounded.solve_within_bounds(normal, True).values
 
-    def constrained(self, normal: Array, possible: bool) -> Fit:
+    def solve_within_bounds(self, normal: Array, possible: bool) -> Fit:
         """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.
 
         Parameters that cross a bound are held at it, and not released: those first that yield, a
@@ -579,7 +581,7 @@ class Fit(Problem):
         bodies = self.bodies
         while True:
             if possible and len(equations.bodies):
-                bodies = self._possible(normal, bodies, start, is_free)
+                bodies = self._possible_bodies(normal, bodies, start, is_free)
                 values = bodies.values
             else:
                 values, _ = solve(normal, start, is_free)
@@ -593,7 +595,7 @@ class Fit(Problem):
         values = equations.inside(values)
         return replace(self, values=values, is_free=is_free, bodies=bodies)
 
-    def _possible(
+    def _possible_bodies(
         self,
         normal: Array,
         like: Possible | None,
@@ -697,7 +699,7 @@ class Fit(Problem):
         for recording in self.recordings:
             for rows in row_chunks(recording, 36 * arm.robot.n_joints):
                 predicted = arm.torque(rows, self.point, self.by_name)
-                residuals.append(arm.measured(rows) - predicted)
+                residuals.append(arm.measured_torque(rows) - predicted)
         return np.concatenate(residuals)
 
     def split(self, rows: NDArray[Any]) -> list[NDArray[Any]]:

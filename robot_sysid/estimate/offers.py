@@ -237,15 +237,15 @@ class Offers:
             offer = after.offer(effect)
             correlation = self.correlation(offer.squares, offer.successive)
             leverage = after.leverage + offer.leverage
-            after = self._reweighted(offer.squares, leverage, correlation)
-            before = self._reweighted(before.squares, before.leverage, correlation)
+            after = self._with_noise_of(offer.squares, leverage, correlation)
+            before = self._with_noise_of(before.squares, before.leverage, correlation)
         independent = self.sums.row_counts / correlation
         offer = after.offer(effect)
         sizes = independent @ np.log(after.weights / before.weights)
         gain = offer.gain + after.evidence - before.evidence + float(sizes)
         return replace(offer, gain=gain)
 
-    def _reweighted(
+    def _with_noise_of(
         self, squares: Array, leverage: Array, correlation: Array
     ) -> Offers:
         """Return the fit with weights by what residuals, parameters and memory (J,) leave."""

@@ -131,7 +131,7 @@ class Point:
     gravity: Array
     friction: Mapping[str, float] = field(default_factory=dict)
 
-    def carried(self, is_loaded: bool) -> Array:
+    def carried_links(self, is_loaded: bool) -> Array:
         """Return the links (n, 10), the last one with the payload if ``is_loaded``."""
         if not is_loaded:
             return self.thetas
@@ -313,13 +313,13 @@ class ArmTerms:
         for name in self.friction:
             own = self._of_joints(TERMS[name])
             columns = partial(self._friction, name)
-            reference = TERMS[name].stated(robot)[self.indices]
+            reference = TERMS[name].stated_value(robot)[self.indices]
             if TERMS[name] in (BEND, *POLYNOMIAL):
                 all_motors = (*self.motors, *self._offered)
                 own += tuple(TERMS[name].at(motor.name) for motor in all_motors)
                 columns = partial(self._with_motors, name)
                 model = robot.mj_model
-                stated = [each.stated(TERMS[name], model) for each in all_motors]
+                stated = [each.stated_value(TERMS[name], model) for each in all_motors]
                 reference = np.append(reference, stated)
             yield Term(FRICTION, own, columns, reference=reference)
         yield from map(self.motor, (*self.motors, *self._offered))
@@ -432,11 +432,11 @@ class ArmTerms:
     def equations(self, rows: Rows, point: Point) -> tuple[Array, Mask]:
         """Return (rows [A b] (m, J, p + 1), used (m, J)) of a chunk."""
         columns = [term.columns(rows, point) for term in self.terms.values()]
-        tau = self.measured(rows)
+        tau = self.measured_torque(rows)
         others = (tau - self.known(rows))[:, :, None]
         return np.concatenate((*columns, others), axis=2), np.isfinite(tau)
 
-    def measured(self, rows: Rows) -> Array:
+    def measured_torque(self, rows: Rows) -> Array:
         """Return the measured torque (m, J) of a chunk of rows [N m]; NaN where not used."""
         tau = rows.recording.torque[rows.span]
         return np.where(rows.recording.used[rows.span], tau, np.nan)[:, self.indices]
@@ -521,7 +521,7 @@ class ArmTerms:
 
     def links_torque(self, rows: Rows, point: Point) -> Array:
         """Return the torque (m, J) of the point's links [N m]."""
-        thetas = point.carried(rows.is_loaded)
+        thetas = point.carried_links(rows.is_loaded)
         torque = rows.links_torque(self.robot, point.gravity, thetas)
         return torque[:, self.indices]
 
@@ -532,7 +532,7 @@ class ArmTerms:
     def _zeros(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
         moves = rows.moves(self.robot, point.gravity)
-        slopes = moves.slopes(point.carried(rows.is_loaded), rows.motion.qd)
+        slopes = moves.slopes(point.carried_links(rows.is_loaded), rows.motion.qd)
         return -slopes[:, self.indices]
 
     def _drifting(self, columns: Columns, rows: Rows, point: Point) -> Array:
@@ -541,7 +541,7 @@ class ArmTerms:
 
     def _tilt(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 2) of gravity turned about two horizontal axes [N m/rad]."""
-        thetas = point.carried(rows.is_loaded)
+        thetas = point.carried_links(rows.is_loaded)
         columns = []
         for axis in tilt_axes(point.gravity):
             moves = rows.at_rest(self.robot, np.cross(axis, point.gravity))
@@ -586,7 +586,10 @@ def without_polynomials(robot: RobotModel, motors: Sequence[Coupling]) -> RobotM
     """Return an arm without nonlinear damping of its joints and motors: terms have it."""
     model = robot.mj_model
     stated = [
-        (*term.stated(robot), *(motor.stated(term, model) for motor in motors))
+        (
+            *term.stated_value(robot),
+            *(motor.stated_value(term, model) for motor in motors),
+        )
         for term in POLYNOMIAL
     ]
     if not np.any(stated):

@@ -88,7 +88,7 @@ class _Near(NamedTuple):
     point: Array
     wall: Any
 
-    def tightest(self) -> _Near:
+    def tightest_pair(self) -> _Near:
         """Return the pair with the least slack of each configuration, if below ``HORIZON``."""
         order = np.lexsort((self.slack, self.posture))
         _, first = np.unique(self.posture[order], return_index=True)
@@ -208,7 +208,7 @@ class Clearance:
         [m/rad, or 1 for slides].
         """
         frames = np.empty((2, len(q), self._model.njnt, 3))
-        near = self._near(q, frames).tightest()
+        near = self._near(q, frames).tightest_pair()
         value = np.full(len(q), HORIZON)
         value[near.posture] = near.slack
         # Component first, (3, C, n): a cross product by hand costs a tenth of numpy's.
@@ -237,11 +237,11 @@ class Clearance:
         np.minimum.at(slacks, (near.posture, rows), near.slack)
         return slacks
 
-    def closest(self, q: Array) -> Closest:
+    def closest_pair(self, q: Array) -> Closest:
         """Return the pair of bodies, or body and half-space, with the least slack at one
         configuration q (n,) [rad or m].
         """
-        near = self._near(q[None]).tightest()
+        near = self._near(q[None]).tightest_pair()
         if not len(near.slack):
             return Closest(HORIZON)
         first, second = near.bodies[0].tolist()

@@ -263,7 +263,7 @@ def expected_fit(
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
     question = Question(options, loaded, drifts=loaded, link_scales=EXPECTED)
     rows = Problem(arm, recordings, point, sums, question)
-    return rows.expected(values, noise)
+    return rows.expected_fit(values, noise)
 
 
 def _processed_motion(

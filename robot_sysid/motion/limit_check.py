@@ -162,4 +162,4 @@ def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
         if least < -TOUCH:
             break
     q, instant = tightest
-    return replace(obstacles.closest(q), time=instant)
+    return replace(obstacles.closest_pair(q), time=instant)

@@ -449,7 +449,7 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
     # The constraint that the smallest multiple exceeds most.
     sample, column = np.unravel_index(np.argmax(value), value.shape)
     problem = design.problem
-    closest = problem.obstacles.closest(motion[0][sample])
+    closest = problem.obstacles.closest_pair(motion[0][sample])
     limits = [*limited_quantities(problem.owners), ("clearance", closest.label)]
     return Draw(np.inf, np.zeros_like(full), limit_name(*limits[column]))
 

@@ -427,7 +427,7 @@ class _Comparison:
         changed: list[Candidate] = []
         while True:
             compared = {
-                each: self._compared(each, changed) for each in self._candidates
+                each: self._comparison_of(each, changed) for each in self._candidates
             }
             # What was likeliest alone may be nothing beside what came after it.
             needless = [each for each in changed if not compared[each].is_beyond]
@@ -472,7 +472,7 @@ class _Comparison:
         terms = arm_question(self._fitted.arm, question, self._fitted.sums.rms_torque)
         return replace(self._fitted.refit(terms), left_out=LeftOut.EACH)
 
-    def _compared(
+    def _comparison_of(
         self, candidate: Candidate, changed: Sequence[Candidate]
     ) -> _Compared:
         """Return a candidate in the fit in which it may have changed beside others."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from robot_sysid.config import IdentifyConfig, with_scale_prior
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.gate import judge, require_acceptable, usable
+from robot_sysid.diagnosis.gate import judge, require_acceptable, usable_fit
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
@@ -412,7 +412,7 @@ def compare_logs(
     for config in configs:
         accepted |= {*config.log.accept}
     judged = replace(judged, findings=tuple(_without_factors(judged.findings)))
-    fitted, _ = usable(judged, accepted, progress)
+    fitted, _ = usable_fit(judged, accepted, progress)
     return changes(fitted)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, SelfTestConfig
-from robot_sysid.diagnosis.gate import judge, usable
+from robot_sysid.diagnosis.gate import judge, usable_fit
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
@@ -70,11 +70,11 @@ def identify_logs(
     question = Question(config.estimation)
     progress.stage("Solving for parameters...")
     judged = judge(robot, logs, question, progress)
-    fitted, notes = usable(judged, options.accept, progress)
+    fitted, notes = usable_fit(judged, options.accept, progress)
     progress.note(*notes)
     for test in tests:
         of_test = judge(robot, [test], question, Progress())
-        _, test_notes = usable(of_test, options.accept, progress)
+        _, test_notes = usable_fit(of_test, options.accept, progress)
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test_notes))
     origin = origin_of(logs, options.measurements)
@@ -184,7 +184,7 @@ def identify_payload(
     question = Question(config.estimation, loaded=True, drifts=drifts)
     progress.stage(Detail("Estimating arm, friction and payload together..."))
     judged = judge(robot, logs, question, progress, is_loaded.tolist(), order.tolist())
-    weighed, of_logs = usable(judged, config.log.accept, progress)
+    weighed, of_logs = usable_fit(judged, config.log.accept, progress)
     notes = [*of_logs]
     if not drifts:
         reason = "in this order it looks like a payload"

@@ -102,7 +102,7 @@ class Parameter:
         """Whether it is a dry torque, which slow motion alone tells from Coulomb friction."""
         return self.is_dry and self.unit == torque_unit(self.is_slide)
 
-    def stated(self, robot: RobotModel) -> Array:
+    def stated_value(self, robot: RobotModel) -> Array:
         """Return the model's value (n,) of each joint; zero of what no file holds."""
         if not self.attribute:
             return np.zeros(robot.n_joints)

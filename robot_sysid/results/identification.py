@@ -200,7 +200,7 @@ def model_file(
     """
     model = offsets_of_model(file)
 
-    def written(fit: Fit) -> ModelFile:
+    def written_file(fit: Fit) -> ModelFile:
         """Return what is said of the file of a fit."""
         return ModelFile(
             errors=(errors_of(fit, model), *(errors_on(fit, *log) for log in logs)),
@@ -211,8 +211,8 @@ def model_file(
 
     straight = straight_of(file)
     if straight is file:
-        return written(file)
-    return replace(written(straight), curved=written(file))
+        return written_file(file)
+    return replace(written_file(straight), curved=written_file(file))
 
 
 def judged_files(file: ModelFile, model_bends: bool) -> list[ModelFile]:

@@ -35,7 +35,7 @@ def traces_of(fitted: Fit) -> Traces:
             signals = (
                 rows.motion.time,
                 rows.motion.qd[:, arm.indices],
-                arm.measured(rows),
+                arm.measured_torque(rows),
                 arm.torque(rows, fitted.point, values),
                 arm.torque(rows, fitted.point, model),
                 arm.torque(rows, fitted.point, friction) - arm.known(rows),

@@ -80,7 +80,7 @@ def write_model(
     robot, target = _arm_of_kind(robot, file_kind, target)
     elements = []
     for index, name in enumerate(robot.joint_names):
-        stated = [float(term.stated(robot)[index]) for term in POLYNOMIAL]
+        stated = [float(term.stated_value(robot)[index]) for term in POLYNOMIAL]
         numbers, further = _numbers_of(result, name, source, stated)
         # MuJoCo does not read a URDF's transmissions, in which others find rotors.
         if robot.kind == "urdf" and "armature" in numbers:
@@ -223,7 +223,7 @@ def _tendon_changes(
     for motor in result.file.motors if result.file else ():
         ratios = zip(robot.joint_names, motor.ratios.tolist())
         coefficients = {joint: ratio for joint, ratio in ratios if ratio != 0.0}
-        stated = [motor.stated(term, robot.mj_model) for term in POLYNOMIAL]
+        stated = [motor.stated_value(term, robot.mj_model) for term in POLYNOMIAL]
         numbers, further = _numbers_of(result, motor.name, source, stated)
         yield ElementChange("tendon", motor.tendon, numbers, coefficients, further)
 

@@ -71,7 +71,7 @@ def usual_arm(
     # A curve keeps its shape: with another linear part alone, friction would fall, or drive.
     for term in POLYNOMIAL:
         stated = np.maximum(robot.friction.viscous, 1e-300)
-        scaled = term.stated(robot) * friction.viscous / stated
+        scaled = term.stated_value(robot) * friction.viscous / stated
         if np.any(scaled):
             mj_model.dof_dampingpoly[robot.dof_index, term.entry] = scaled
     return replace(robot, mj_model=mj_model, links=links, friction=friction)

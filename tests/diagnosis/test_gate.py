@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rigs.arms.wrong_arms import truth_of
-from robot_sysid.diagnosis.gate import judge, usable
+from robot_sysid.diagnosis.gate import judge, usable_fit
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
@@ -101,4 +101,4 @@ def test_a_payload_is_refused_for_what_its_logs_are_refused_for(four_joints, fac
     for asked, read, sides in ((payload, logs, [False, True]), (link, logs[:1], ())):
         judged = judge(robot, read, asked, Progress(), sides)
         with pytest.raises(InputError, match="times those of the model's masses"):
-            usable(judged, ("torque-scale",), Progress())
+            usable_fit(judged, ("torque-scale",), Progress())

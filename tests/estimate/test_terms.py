@@ -91,7 +91,7 @@ def torque_of(arm, motion, values, gravity, loaded):
     robot = arm.robot
     point = point_of(arm, values, gravity)
     model = copy.copy(robot.mj_model)
-    for link, theta in zip(robot.links, point.carried(loaded)):
+    for link, theta in zip(robot.links, point.carried_links(loaded)):
         if link.has_mass:
             small_arms.write_body(model, link.body_id, theta)
     model.dof_armature[:] = 0.0

@@ -58,7 +58,7 @@ def test_bodies_of_several_geoms_are_detected_within_the_margin(gap):
         )
         + f'<body name="rack" pos=".6 0 0">{row}</body>'
     )
-    closest = clearance_of(xml).closest(np.array([0.5 - gap, 0.0]))
+    closest = clearance_of(xml).closest_pair(np.array([0.5 - gap, 0.0]))
     assert closest.distance == pytest.approx(gap, abs=1e-6)
 
 
@@ -120,7 +120,7 @@ def test_links_that_overlap_in_every_pose_are_ignored(offset, is_by_design):
         world(link(hinge("turn", Z), socket, "socket", pos="0 0 0"))
     )
     assert len(clearance.collisions) == (not is_by_design)
-    assert (clearance.closest(np.zeros(3)).slack < 0.0) == (not is_by_design)
+    assert (clearance.closest_pair(np.zeros(3)).slack < 0.0) == (not is_by_design)
 
 
 def test_the_slack_is_negative_wherever_mujoco_sees_a_contact():
@@ -133,7 +133,7 @@ def test_the_slack_is_negative_wherever_mujoco_sees_a_contact():
         mujoco.mj_kinematics(model, data)
         if witness.touching_pairs(model, data):
             n_touching += 1
-            assert clearance.closest(q).slack <= -KEEP + 1e-9
+            assert clearance.closest_pair(q).slack <= -KEEP + 1e-9
     assert n_touching > 10
 
 
@@ -157,13 +157,15 @@ def test_the_slack_of_a_pair_depends_on_its_gap_at_rest(gap, collisions, slack):
     """
     clearance = clearance_of(balls_with_gap(gap))
     assert clearance.collisions == collisions
-    closest = clearance.closest(np.zeros(2))
+    closest = clearance.closest_pair(np.zeros(2))
     assert closest.distance == pytest.approx(gap, abs=1e-6)
     assert closest.slack == pytest.approx(slack, abs=1e-6)
     assert clearance.slack(np.zeros((1, 2)))[0] == pytest.approx(slack, abs=1e-6)
     arm = robot(balls_with_gap(gap))
     started = Clearance(arm, np.array([-0.3, 0.0]), Limits(clearance=KEEP))
-    assert started.closest(np.zeros(2)).slack == pytest.approx(gap - KEEP, abs=1e-6)
+    assert started.closest_pair(np.zeros(2)).slack == pytest.approx(
+        gap - KEEP, abs=1e-6
+    )
 
 
 SHELL = '<geom size=".03" pos="0 0 .1"/>'

@@ -83,7 +83,7 @@ class ThinWall:
     def slacks(self, q):
         return np.minimum(np.abs(q[:, :1] - 0.2) - 1e-3, 0.1)
 
-    def closest(self, q):
+    def closest_pair(self, q):
         (value,) = self.slacks(q[None])[0]
         return Closest(value, value, "arm and wall")
 
@@ -135,7 +135,8 @@ def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
     def surplus(share):
         """Return the slack beyond the shortfall at a share of the way [m]."""
         return (
-            problem.obstacles.closest(problem.rest + share * towards).slack + shortfall
+            problem.obstacles.closest_pair(problem.rest + share * towards).slack
+            + shortfall
         )
 
     end = brentq(surplus, 0.0, 1.0, xtol=1e-12)

@@ -50,8 +50,8 @@ def test_a_motion_starts_where_nothing_collides():
     problem = make_problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
     startable, note = restarted(problem)
     assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
-    assert problem.obstacles.closest(problem.rest).slack < 0.0
-    assert startable.obstacles.closest(startable.rest).slack >= 0.0
+    assert problem.obstacles.closest_pair(problem.rest).slack < 0.0
+    assert startable.obstacles.closest_pair(startable.rest).slack >= 0.0
 
 
 def weaken_motors(problem, share):
@@ -76,7 +76,7 @@ def test_a_start_that_cannot_be_held_is_replaced(lean, share):
     assume(holding_share(problem, np.zeros(4)) < 0.7)
     startable, note = restarted(problem)
     assert holding_share(startable, startable.rest) < 1.0
-    assert startable.obstacles.closest(startable.rest).slack >= 0.0
+    assert startable.obstacles.closest_pair(startable.rest).slack >= 0.0
     limits = problem.limits
     assert np.all(startable.rest == np.clip(startable.rest, limits.lower, limits.upper))
     assert "dry friction at joint joint1 takes" in note

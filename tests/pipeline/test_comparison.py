@@ -247,7 +247,7 @@ def test_logs_are_judged_against_the_runs_own_arm_with_its_options(
         raise Checked
 
     monkeypatch.setattr(comparison, "judge", check)
-    monkeypatch.setattr(comparison, "usable", end)
+    monkeypatch.setattr(comparison, "usable_fit", end)
     options = (
         'mass_scale = 1.5\naccept = ["tilt"]\n'
         f'torque_scale = "{tmp_path / "scale.json"}"'

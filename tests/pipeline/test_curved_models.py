@@ -187,7 +187,7 @@ def test_bends_below_zero_are_held_before_friction_that_they_push_there(estimate
     normal = np.zeros((len(best) + 1, len(best) + 1))
     normal[:-1, :-1] = columns
     normal[:-1, -1] = normal[-1, :-1] = columns @ best
-    held = fitted.constrained(normal, False)
+    held = fitted.solve_within_bounds(normal, False)
     assert held.at_bound == bend.names
     assert_allclose(held.values[held.at(viscous.names)], 0.4)
 
