@@ -74,6 +74,8 @@ OWN_PRIOR = 0.7
 torque, which differ by a factor of ten. What no torque shows stays at the common one."""
 COMMON_PRIOR = 3.0
 """Prior of the logarithm of the common scale, from the ratio of torques on: it may be any."""
+LEAST_RATIO = 1e-3
+"""Least ratio of torques to start from, over the typical one: a column of zeros has none."""
 STEP = (0.2, 5.0)
 """Least and largest factor by which a scale changes in one round."""
 SURE_SCALE = 0.4
@@ -205,8 +207,9 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     torque, share, is_loaded = model_torque(fitted)
     # Whatever the scales are, the ratio of torques is near them.
     scale = fitted.sums.rms_torque / torque
-    typical = np.median(scale[is_loaded])
+    typical = float(np.median(scale[is_loaded])) or 1.0
     scale[~is_loaded] = typical
+    scale = np.maximum(scale, LEAST_RATIO * typical)
     opposes = is_loaded & (share * torque < -OPPOSING * fitted.sums.rms_torque)
     scale[opposes & is_foreign(fitted)] *= -1.0
     for _ in range(ROUNDS):
