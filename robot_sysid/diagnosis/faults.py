@@ -236,32 +236,25 @@ def at_zeros(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
         yield Explanation(fault, zero, {"joint": name}, unit)
 
 
-def of_spring(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
-    """Yield a torque in proportion to each joint's position, over its own torque [1/rad or 1/m]."""
-    for joint, (name, size) in enumerate(
-        zip(fitted.arm.joints, typical_torque(fitted))
-    ):
-        yield Explanation(
-            fault, effect(SPRING, fault.prior * size, joint), {"joint": name}
-        )
-
-
 MOST_OF_SPRING = 2.0
 """Largest torque of a spring that pulls from beside a joint, over the joint's own: a larger one is
 the joint's own weight with another sign."""
 
 
-def of_eccentric_spring(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
-    """Yield a torque that goes with sine and cosine of each joint's position, over its own."""
-    for joint, (name, size) in enumerate(
-        zip(fitted.arm.joints, typical_torque(fitted))
-    ):
-        yield Explanation(
-            fault,
-            effect(ECCENTRIC_SPRING, fault.prior * size, joint),
-            {"joint": name},
-            largest=MOST_OF_SPRING * size,
-        )
+def of_springs(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
+    """Yield torques that follow each joint's position, over its own torque [1/rad or 1/m].
+
+    A spring at the joint is in proportion to it; one that pulls from a point beside the joint goes
+    with its sine and cosine.
+    """
+    torque = typical_torque(fitted)
+    for joint, (name, size) in enumerate(zip(fitted.arm.joints, torque)):
+        for columns, largest in (
+            (SPRING, np.inf),
+            (ECCENTRIC_SPRING, MOST_OF_SPRING * size),
+        ):
+            spring = effect(columns, fault.prior * size, joint)
+            yield Explanation(fault, spring, {"joint": name}, largest=largest)
 
 
 def of_hum(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
@@ -558,18 +551,8 @@ FAULTS = (
         FaultName.FORCE,
         "at joint {joint} a torque follows the position, as of a spring, a balancer or a hose",
         "take it away, or add it to the model",
-        of_spring,
+        of_springs,
         # The joint's own torque within a tenth of a radian, or of a metre.
-        10.0,
-        level=Level.REFUSES,
-        sizes=(0.0, np.inf),
-        is_norm=True,
-    ),
-    Fault(
-        FaultName.FORCE,
-        "at joint {joint} a torque follows the position, as of a spring, a balancer or a hose",
-        "take it away, or add it to the model",
-        of_eccentric_spring,
         10.0,
         level=Level.REFUSES,
         sizes=(0.0, np.inf),
