@@ -100,6 +100,7 @@ COULOMB = FrictionTerm(
     "sign(qd)",
     lambda sign, qd, qdd, load: sign,
     is_dry=True,
+    is_coulomb=True,
     lower=0.0,
     attribute="frictionloss",
 )
@@ -205,6 +206,7 @@ _OTHERS = (
         formula=f"tanh(qd / {SIGMOID_SPEED})",
         torque=lambda sign, qd, qdd, load: np.tanh(qd / SIGMOID_SPEED),
         is_dry=True,
+        is_coulomb=True,
         lower=0.0,
     ),
 )

@@ -210,10 +210,13 @@ class EstimationOptions(OptionRecord):
     def left_out_terms(self) -> tuple[str, ...]:
         """Terms of the default friction model that the user's own friction model lacks.
 
-        A sigmoid is no lack of Coulomb friction.
+        Dry friction that reverses smoothly is no lack of Coulomb friction.
         """
-        terms = self.friction
-        given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
+        from robot_sysid.dynamics.friction import COULOMB, TERMS
+
+        given = {*self.friction}
+        if any(TERMS[name].is_coulomb for name in given):
+            given.add(COULOMB.name)
         default = friction_terms(self._default_friction)
         return tuple(term for term in default if term not in given)
 

@@ -39,7 +39,8 @@ class Parameter:
             acceleration ``qdd`` and the torque ``load`` that its gear transmits; "" where that does
             not depend on these alone.
         torque: the formula as a function.
-        is_dry: whether the torque jumps where the joint reverses.
+        is_dry: whether the torque jumps where the joint reverses, or all but jumps.
+        is_coulomb: whether it is the dry friction that stays at any speed.
         is_friction: whether the torque takes power, and changes with temperature.
         lower, upper: bounds where no prior stands in their place.
         prior: standard deviation where a friction model lacks the term, over the joint's dry
@@ -59,6 +60,7 @@ class Parameter:
     formula: str = ""
     torque: Torque = _no_torque
     is_dry: bool = False
+    is_coulomb: bool = False
     is_friction: bool = True
     lower: float = -np.inf
     upper: float = np.inf

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import ROTOR, TERMS
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import is_clearly_lower
 from robot_sysid.estimate.payload import Contradiction
@@ -157,6 +158,7 @@ def impossible_joints(
         torque: joint to the root mean square of its measured torque [N m].
     """
     inertia = robot.mass * robot.length**2
+    coulomb = [name for name, term in TERMS.items() if term.is_coulomb]
     # Least values that the errors allow. A term at its bound has the error NaN, and no comparison
     # with NaN is true.
     least = {
@@ -166,8 +168,9 @@ def impossible_joints(
     }
     torques = np.array([torque.get(name, 0.0) for name in robot.joint_names])
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
-        dry = least.get((name, "coulomb"), least.get((name, "sigmoid"), 0.0))
-        rotor = least.get((name, "armature"), 0.0)
+        found = (least[name, term] for term in coulomb if (name, term) in least)
+        dry = next(found, 0.0)
+        rotor = least.get((name, ROTOR.name), 0.0)
         is_other = robot.is_slide == slide
         is_other[index] = False
         largest_torque = np.max(torques[is_other], initial=0.0)

@@ -31,8 +31,19 @@ def test_reversed_motion_reverses_every_torque_except_the_offset(seed):
         forward = torque(name, qd, qdd, load)
         sign = 1.0 if name == "offset" else -1.0
         assert_array_equal(torque(name, -qd, -qdd, load), sign * forward)
-        if name in ("coulomb", "viscous", "bend", "sqrt", "stribeck", "load"):
-            assert np.all(forward * qd >= 0.0)
+        if TERMS[name].is_friction and TERMS[name].lower == 0.0:
+            # A bend brakes up to the speed at which it is flat.
+            braking = np.abs(qd) < (3.0 if TERMS[name].over_top else np.inf)
+            assert np.all((forward * qd)[braking] >= 0.0)
+
+
+@given(SEEDS)
+def test_no_term_is_another_one(seed):
+    qd, qdd, load = np.random.default_rng(seed).normal(size=(3, 30))
+    columns = np.stack([torque(name, qd, qdd, load) for name in TERMS])
+    columns /= np.linalg.norm(columns, axis=1, keepdims=True)
+    alike = np.abs(columns @ columns.T) - np.eye(len(columns))
+    assert np.max(alike) < 1.0 - 1e-6
 
 
 def test_torques_at_hand_computed_values():
