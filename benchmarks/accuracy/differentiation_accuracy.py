@@ -1,6 +1,6 @@
 """Error of the acceleration from an encoder's positions, for several ways to differentiate.
 
-    python benchmarks/accuracy/differentiation_accuracy.py
+    python -m benchmarks.accuracy.differentiation_accuracy
 
 Sums of sines up to 0.6 Hz, 15 s, a 1e-4 rad encoder or none. Printed: root mean square error of the
 acceleration as a part of its own root mean square, away from the ends.

@@ -11,10 +11,15 @@ processes at once as ``--jobs`` says.
 Arms are drawn as in ``benchmarks.trust.real_arms``, one per model, deviation and seed, the same for
 all causes and durations, so that rows can be compared. Causes without a fault ("right" has logs of
 6, 8, 15 and 60 s) show what right logs are accused of. Log and model are files, and what is judged
-are the answers of the commands ``log`` and ``identify``. Another checkout is judged by
+are the answers of the commands ``log`` and ``identify``. The package of another checkout is judged
+by these scripts, from an empty folder (commands leave proposed columns there) and with Python 3.11
+or newer, whose ``-P`` keeps the folder itself off the path:
 
-    mkdir judge && ln -s $PWD/benchmarks $PWD/rigs judge/
+    mkdir judge && ln -s CHECKOUT/benchmarks CHECKOUT/rigs judge/
     PYTHONPATH=judge:OTHER_CHECKOUT python -P -m benchmarks.trust.confusion MODELS_FOLDER
+
+CHECKOUT has these scripts. Only commands, documented formats and what draws arms (``spatial``,
+``dynamics``, ``model``, ``records``, ``trajectory``) are used of the other one.
 
 Per cause, logs are counted by what is said of them: by findings of ``log`` of any level, motors
 over two joints that the estimate finds, and remarks of the estimate:

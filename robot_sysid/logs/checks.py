@@ -309,7 +309,7 @@ def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> Non
     threshold = np.maximum(SMALLEST_JUMP, JUMP_SPEED * np.diff(recording.time))
     for name, q in zip(recording.joint_names, recording.q.T):
         step = np.abs(np.diff(q))
-        # What repeats its value for a while is left out (``diagnosis.limited_in_time``).
+        # What repeats its value for a while is left out (``diagnosis.stretches``).
         is_jump = (step > threshold) & (np.roll(step, 1) > 0.0)
         if np.any(is_jump):
             where = table.cite(lines[1:][is_jump])
