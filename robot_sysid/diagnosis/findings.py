@@ -13,6 +13,7 @@ from itertools import chain
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import Correction, Evidence, column_correction
+from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.misfits import (
     friction_findings,
     misfit,
@@ -44,14 +45,8 @@ LIKE_GRAVITY = (
     FaultName.PAYLOAD_STEP,
 )
 """Faults that may stand for gravity in another direction."""
-OF_COLUMNS = (
-    FaultName.SIGN,
-    FaultName.ORDER,
-    FaultName.ANGLE_UNIT,
-    FaultName.ZERO,
-    FaultName.TILT,
-)
-"""Mistakes of columns."""
+MISTAKES = (*OF_COLUMNS, FaultName.ZERO, FaultName.TILT)
+"""What another reading of a log puts right."""
 UNMEASURED = (FaultName.COMPUTED, FaultName.TORQUE_UNIT)
 """What is no torque of this arm, or in no known unit, shows nothing else."""
 OF_LINKS = (
@@ -98,7 +93,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
         search = with_correction(search, evidence)
     right = search.start.fit
     named = [*search.start.findings]
-    is_corrected = any(each.about in OF_COLUMNS for each in named)
+    is_corrected = any(each.about in MISTAKES for each in named)
     if not (is_experiment or is_corrected or is_fitting):
         found += odd_unit(fitted)
     if not (search.explains and named):
