@@ -59,6 +59,8 @@ _UNSEEN_MASTER = SecondMaster(SHOULDER, is_seen=False)
 FAULTS = (*CASES, Case("second master, shoulder, not seen", _UNSEEN_MASTER, UNSEEN))
 """Faults of ``faults``: those of the page, and one more."""
 RATES = (50.0, 100.0, 250.0, 500.0)
+UNNOTICED = "nothing: it plays to the end"
+"""What the page says of a run that nothing stopped."""
 
 
 def setup_text(setup: SetUp) -> str:
@@ -239,9 +241,9 @@ def write_page(jobs: int) -> None:
         message = re.sub(r"\(joint [^)]*\) ", "", case.words)
         mark = "*" if case.quantity != "departure" else ""
         measured = f"{outcome.figures[case.quantity]:.2f}{mark}"
-        rows.append(
-            f"| {case.name} | {measured} | {message or 'nothing: it plays to the end'} |"
-        )
+        if outcome.ending == "completed":
+            message = UNNOTICED
+        rows.append(f"| {case.name} | {measured} | {message} |")
     TABLE.write(rows)
 
 

@@ -419,7 +419,7 @@ INCIDENTS = (
     Incident(
         "motor makes 0.6 of its torque, at kp 500",
         BY_THE_ARM,
-        {"kinova": kinova(shoulder(torque_share=0.6), "", endings=("stopped", "completed"))},
+        {"kinova": kinova(shoulder(torque_share=0.6), NEEDS)},
         SAME_PROGRAM,
     ),
     Incident(

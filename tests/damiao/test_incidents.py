@@ -124,8 +124,11 @@ def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
     stated = {row[0].strip("| "): row[1:] for row in rows if len(row) == 3}
     for case in CASES:
         departure, words = stated[case.name]
-        measured = outcomes[case.name].figures[case.quantity]
+        outcome = outcomes[case.name]
+        measured = outcome.figures[case.quantity]
         assert abs(float(departure.strip("*")) - measured) < 0.03, case.name
+        plays_on = words.startswith("nothing: it plays to the end")
+        assert plays_on == (outcome.ending == "completed"), case.name
         assert case.words.replace("(joint joint1) ", "") in words, words
 
 
