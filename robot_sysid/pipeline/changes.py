@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from enum import Enum
 from itertools import chain, compress
 
 import numpy as np
@@ -75,9 +76,36 @@ NOT_JUDGED = "differs, not judged"
 """Reason of a row of friction that the model says clearly another, as models do."""
 OTHER_FRICTION = 0.5
 """Difference from the model's friction from which on it is said, as a share of that."""
-FRICTION_ROW = "friction in motion"
-"""Name of a row of the friction of a joint at its root mean square speed."""
-_DRIFTS = (DRIFT, ZERO_DRIFT, SCALE_DRIFT, OFFSET_DRIFT)
+
+
+class Kind(Enum):
+    """What is compared; the name of its rows, but for a load, whose rows are numbers of a body."""
+
+    LOAD = "load"
+    FRICTION = "friction"
+    ZERO = "zero"
+    SCALE = "scale"
+    OFFSET = "offset"
+    DELAY = "delay"
+    TILT = "tilt"
+    WEIGHT = "weight"
+    FRICTION_IN_MOTION = "friction in motion"
+    """Of a joint, at its root mean square speed."""
+
+
+# Drifts from one side to the other, and errors beside a model, to what is compared.
+_DRIFTS = {
+    DRIFT: Kind.FRICTION,
+    ZERO_DRIFT: Kind.ZERO,
+    SCALE_DRIFT: Kind.SCALE,
+    OFFSET_DRIFT: Kind.OFFSET,
+}
+_OF_SENSORS = {
+    SCALES: Kind.SCALE,
+    ZEROS: Kind.ZERO,
+    OFFSET.name: Kind.OFFSET,
+    DELAY: Kind.DELAY,
+}
 # Least share of a number that comes from the data, and not from its prior.
 _SHOWN = 0.75
 # Most changes at once. A log of another arm, or in other columns, needs more.
@@ -95,7 +123,8 @@ _OF_BODY = 4
 _LARGEST_FRICTION_DRIFT = 0.999
 # The base's tilt about each axis, which is a number of its own.
 _TILTS = tuple(
-    Parameter("tilt", of=f"the base about {axis}", units=("rad",)) for axis in "xy"
+    Parameter(Kind.TILT.value, of=f"the base about {axis}", units=("rad",))
+    for axis in "xy"
 )
 
 
@@ -108,9 +137,11 @@ class Change(Quantity):
 
     Attributes:
         least: the size from which on it would be named, a multiple of ``error``.
+        kind: what is compared.
     """
 
     least: float = 0.0
+    kind: Kind = Kind.LOAD
 
     @property
     def least_either_way(self) -> float:
@@ -118,7 +149,7 @@ class Change(Quantity):
 
         A friction that falls to a half has changed as much as one that doubles.
         """
-        if self.name == "friction" and self.value < 0.0:
+        if self.kind is Kind.FRICTION and self.value < 0.0:
             return self.least / (1.0 - self.least / 100.0)
         return self.least
 
@@ -134,12 +165,14 @@ class Candidate:
     """Something that may have changed or differ.
 
     Attributes:
+        kind: what is compared.
         names: its parameters in the fit.
         numbers: what is compared with zero: its first parameters, or the mean of all.
         whole: the whole difference over a parameter.
         is_mean: whether it is the mean of all its parameters.
     """
 
+    kind: Kind
     names: tuple[str, ...]
     numbers: tuple[Parameter, ...]
     whole: float = 1.0
@@ -148,20 +181,19 @@ class Candidate:
     @property
     def is_body(self) -> bool:
         """Whether it is a body, with ten parameters."""
-        return len(self.numbers) == _OF_BODY
+        return self.kind is Kind.LOAD
 
     @property
     def words(self) -> str:
         """What it is, and of what."""
-        name = "load" if self.is_body else _name(self.numbers[0])
-        return f"{name} of {self.numbers[0].of}"
+        return f"{self.kind.value} of {self.numbers[0].of}"
 
 
 def _body(arm: ArmTerms, names: tuple[str, ...]) -> Candidate:
     """Return the candidate of the last link, or of what hangs there."""
     of = arm.robot.body_name
     numbers = (replace(each, of=of) for each in parameters.INERTIAL[:_OF_BODY])
-    return Candidate(names, tuple(numbers))
+    return Candidate(Kind.LOAD, names, tuple(numbers))
 
 
 def model_question(options: EstimationOptions) -> Question:
@@ -183,13 +215,14 @@ def changes(fitted: Fit) -> list[Change]:
     friction = parameters.DRIFT.at(ALL_JOINTS)
     candidates = [
         _body(arm, PAYLOAD_NAMES),
-        Candidate(terms[DRIFT].names, (friction,), _WHOLE, is_mean=True),
+        Candidate(Kind.FRICTION, terms[DRIFT].names, (friction,), _WHOLE, is_mean=True),
     ]
-    for parameter in chain(*(terms[cause].parameters for cause in _DRIFTS)):
-        candidates.append(Candidate((parameter.key,), (parameter,), _WHOLE))
+    for cause, kind in _DRIFTS.items():
+        for parameter in terms[cause].parameters:
+            candidates.append(Candidate(kind, (parameter.key,), (parameter,), _WHOLE))
     # What gears lose of a load, no model has exactly: it looks like a sensor's error.
     like_load = terms[SCALE_DRIFT].names + terms[OFFSET_DRIFT].names
-    return _Comparison(fitted, candidates, _DRIFTS, like_load, weigh).rows()
+    return _Comparison(fitted, candidates, [*_DRIFTS], like_load, weigh).rows()
 
 
 def weigh(fitted: Fit, is_on: bool) -> tuple[Array, Array]:
@@ -237,14 +270,14 @@ def differences(fitted: Fit) -> Differences:
     candidates = [_body(arm, PARAMETER_NAMES)]
     torques = fitted.sums.rms_torque
     loaded = {*compress(arm.joints, torques > _LOADED * np.max(torques))}
-    for cause in (SCALES, ZEROS, OFFSET.name, DELAY):
+    for cause, kind in _OF_SENSORS.items():
         for parameter in arm.terms[cause].parameters:
             # What a joint reads that carries next to nothing is friction, of any size.
             if cause != SCALES or parameter.of in loaded:
-                candidates.append(Candidate((parameter.key,), (parameter,)))
+                candidates.append(Candidate(kind, (parameter.key,), (parameter,)))
     if TILT in arm.terms:
-        candidates.append(Candidate(arm.terms[TILT].names, _TILTS))
-    causes = SCALES, ZEROS, OFFSET.name, DELAY, TILT, LAST_LINK
+        candidates.append(Candidate(Kind.TILT, arm.terms[TILT].names, _TILTS))
+    causes = *_OF_SENSORS, TILT, LAST_LINK
     comparison = _Comparison(fitted, candidates, causes)
     of_candidates = comparison.rows()
     right = comparison.right
@@ -269,23 +302,23 @@ def _is_certain(own: _Compared, fitted: Fit) -> bool:
     usual = 0.0
     share = 1.0
     if not candidate.is_body:
-        usual = _like_links(candidate.numbers[0], fitted)
+        usual = _like_links(candidate.kind, candidate.numbers[0], fitted)
         share = _torque_share(fitted, candidate.names)
     is_alarming = np.abs(own.values) > ALARMING * np.hypot(own.errors, usual)
     return share > TELLING and bool(np.any(is_alarming & own.are_beyond))
 
 
-def _like_links(number: Parameter, fitted: Fit) -> float:
+def _like_links(kind: Kind, number: Parameter, fitted: Fit) -> float:
     """Return what links as wrong as usual look like as a number."""
-    if number.name == "offset":
+    if kind is Kind.OFFSET:
         torque = fitted.sums.rms_torque[fitted.arm.joints.index(number.of)]
         return LINKS_AS_OFFSET * float(torque)
     size = {
-        "scale": LINKS_AS_SCALE,
-        "zero": LINKS_AS_ZERO,
-        "tilt": LINKS_AS_TILT,
-        "delay": DELAY_ERROR,
-    }[number.name]
+        Kind.SCALE: LINKS_AS_SCALE,
+        Kind.ZERO: LINKS_AS_ZERO,
+        Kind.TILT: LINKS_AS_TILT,
+        Kind.DELAY: DELAY_ERROR,
+    }[kind]
     return size / _UNITS.get(number.unit, (number.unit, 1.0))[1]
 
 
@@ -346,9 +379,10 @@ def _weights(fitted: Fit, usual: Fit) -> Iterator[tuple[Change, float]]:
         least = SURE * spread
         is_loaded = sums.rms_torque[sums.joints.index(joint)] > _LOADED * strongest
         is_beyond = is_loaded and abs(value) > least
-        row = Change("weight", joint, "%", None, 100.0 * value, 100.0 * spread)
+        row = Change(Kind.WEIGHT.value, joint, "%", None, 100.0 * value, 100.0 * spread)
         reason = _reason(is_beyond, is_loaded and least < 1.0)
-        yield replace(row, reason=reason, least=100.0 * least), 100.0 * error
+        row = replace(row, reason=reason, least=100.0 * least, kind=Kind.WEIGHT)
+        yield row, 100.0 * error
 
 
 def _friction(fitted: Fit) -> Iterator[Change]:
@@ -374,10 +408,11 @@ def _friction(fitted: Fit) -> Iterator[Change]:
         least = max(SURE * error, OTHER_FRICTION * stated)
         reason = NOT_JUDGED if abs(value - stated) > least else ""
         unit = torque_unit(joint in arm.robot.slides)
+        kind = Kind.FRICTION_IN_MOTION
         differing = Change(
-            FRICTION_ROW, joint, unit, stated, value - stated, least / SURE
+            kind.value, joint, unit, stated, value - stated, least / SURE
         )
-        yield replace(differing, reason=reason, least=least)
+        yield replace(differing, reason=reason, least=least, kind=kind)
 
 
 class _Comparison:
@@ -589,10 +624,10 @@ def _rows(own: _Compared, beyond: str) -> Iterator[Change]:
         value, bound = float(own.values[number]), float(bounds[number])
         unit, factor = _UNITS.get(parameter.unit, (parameter.unit, 1.0))
         factor *= candidate.whole
-        name = _name(parameter)
+        kind = candidate.kind
         change, least = factor * value, factor * bound
         widest = least
-        if name == "friction":
+        if kind is Kind.FRICTION:
             change, least, widest = (
                 _friction_change(each)
                 for each in (value, float(np.copysign(bound, value)), bound)
@@ -604,7 +639,7 @@ def _rows(own: _Compared, beyond: str) -> Iterator[Change]:
         )
         least = abs(least)
         yield Change(
-            name,
+            parameter.name if kind is Kind.LOAD else kind.value,
             parameter.of,
             unit,
             None,
@@ -612,6 +647,7 @@ def _rows(own: _Compared, beyond: str) -> Iterator[Change]:
             least / own.sure,
             reason=reason,
             least=least,
+            kind=kind,
         )
 
 
@@ -622,12 +658,6 @@ def _friction_change(drift: float) -> float:
     """
     most = _LARGEST_FRICTION_DRIFT
     return 100.0 * float(np.expm1(2.0 * np.arctanh(np.clip(drift, -most, most))))
-
-
-def _name(parameter: Parameter) -> str:
-    """Return what drifts: "friction", "zero", "scale" or "offset"."""
-    is_friction = parameter.name == parameters.DRIFT.name
-    return "friction" if is_friction else parameter.name.removesuffix("_drift")
 
 
 def _reason(is_changed: bool, is_shown: bool) -> str:

@@ -27,11 +27,11 @@ from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.changes import (
     ALL_JOINTS,
     DIFFERS,
-    FRICTION_ROW,
     NOT_JUDGED,
     OTHER_FRICTION,
     UNKNOWN,
     Change,
+    Kind,
     change_question,
     changes,
     differences,
@@ -50,7 +50,7 @@ from robot_sysid.records.messages import (
     torque_unit,
     with_error,
 )
-from robot_sysid.records.parameters import ZERO
+from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
 
@@ -71,34 +71,34 @@ _MOMENTARY = FaultName.CONTACT
 _LOOK = "look after these joints, and at the log by itself: robot-sysid log LOG MODEL"
 # Faults that both sides share, which is no change, or that are compared.
 _SHARED = (FaultName.TORQUE_SCALE, FaultName.ZERO)
-# Name of a row to what is compared, in words.
+# What is compared, in words.
 _WORDS = {
-    "m": "load",
-    "friction": "friction",
-    "zero": "zero",
-    "scale": "torque scale",
-    "offset": "torque offset",
-    "delay": "delay",
-    "tilt": "tilt",
-    "weight": "weight",
+    Kind.LOAD: "load",
+    Kind.FRICTION: "friction",
+    Kind.ZERO: "zero",
+    Kind.SCALE: "torque scale",
+    Kind.OFFSET: "torque offset",
+    Kind.DELAY: "delay",
+    Kind.TILT: "tilt",
+    Kind.WEIGHT: "weight",
 }
-# Name of a row to the sensor whose reading it is.
+# What is compared, to the sensor whose reading it is.
 _READINGS = {
-    "zero": "the position",
-    "scale": "the torque",
-    "offset": "whatever the motion, the torque",
+    Kind.ZERO: "the position",
+    Kind.SCALE: "the torque",
+    Kind.OFFSET: "whatever the motion, the torque",
 }
-# Name of a row that has changed to what to do.
+# What has changed, to what to do.
 _REMEDIES = {
-    "m": "take the load off, or weigh it (payload) and use the model with it",
-    "zero": "set the joint's zero anew",
-    "scale": "calibrate the joint's torque, and look after its gear ratio and motor",
-    "offset": "set the torque sensor's zero anew, and look for a cable, a spring or a hose",
-    "weight": "check that the model is of this arm, with all that is fixed to its links",
-    "tilt": "level the base, or turn it in the model",
-    "delay": "record torques and positions at the same instant",
-    "friction": "record again when the gears are as warm as before; if it stays, look after brake, "
-    "grease and belt, and identify the arm again",
+    Kind.LOAD: "take the load off, or weigh it (payload) and use the model with it",
+    Kind.ZERO: "set the joint's zero anew",
+    Kind.SCALE: "calibrate the joint's torque, and look after its gear ratio and motor",
+    Kind.OFFSET: "set the torque sensor's zero anew, and look for a cable, a spring or a hose",
+    Kind.WEIGHT: "check that the model is of this arm, with all that is fixed to its links",
+    Kind.TILT: "level the base, or turn it in the model",
+    Kind.DELAY: "record torques and positions at the same instant",
+    Kind.FRICTION: "record again when the gears are as warm as before; if it stays, look after "
+    "brake, grease and belt, and identify the arm again",
 }
 
 
@@ -169,11 +169,11 @@ def check_log(
         found = _found_alone(robot, second, config)
         require_acceptable(second, found, config.log.accept)
         raise
-    changed = {row.name for row in rows if row.reason == DIFFERS}
+    changed = {row.kind for row in rows if row.reason == DIFFERS}
     if changed:
         # A log that is wrong differs, too. A zero that has moved is what was asked.
         found = _found_alone(robot, second, config)
-        if changed == {ZERO.name}:
+        if changed == {Kind.ZERO}:
             found = [each for each in found if each.about is not FaultName.ZERO]
         require_acceptable(second, found, (*config.log.accept, *_SHARED))
     if all(row.reason == UNKNOWN for row in rows):
@@ -298,7 +298,8 @@ def friction_sentences(rows: Sequence[Change]) -> tuple[str, ...]:
     """Return the friction of joints of which the model says clearly another: it is not judged."""
     parts = []
     for row in rows:
-        if row.name == FRICTION_ROW and row.reason == NOT_JUDGED and row.model:
+        is_friction = row.kind is Kind.FRICTION_IN_MOTION
+        if is_friction and row.reason == NOT_JUDGED and row.model:
             share = (
                 f"{1.0 - OTHER_FRICTION:g} of"
                 if row.value < 0.0
@@ -423,22 +424,23 @@ def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
     """
     sentence = _sentence_of_model if of_model else _sentence
     # The first of what has changed of a body: a mass that came on has first moments, too.
-    found: dict[tuple[str, str], str] = {}
+    found: dict[tuple[str, Kind], str] = {}
     for row in rows:
         if row.reason == DIFFERS:
-            kind = row.name if row.name in _WORDS else "m"
-            found.setdefault((row.of, kind), sentence(row))
+            found.setdefault((row.of, row.kind), sentence(row))
     if found:
         return list(found.values())
     least: dict[tuple[str, str], list[float]] = {}
     unknown: dict[str, list[str]] = {}
     for row in rows:
-        if row.name not in _WORDS or row.of == ALL_JOINTS:
+        # First moments of a load are not told apart from it, nor is friction in motion judged.
+        is_said = _is_mass(row) if row.kind is Kind.LOAD else row.kind in _WORDS
+        if not is_said or row.of == ALL_JOINTS:
             continue
         if row.reason == UNKNOWN:
-            unknown.setdefault(_WORDS[row.name], []).append(row.of)
+            unknown.setdefault(_WORDS[row.kind], []).append(row.of)
         else:
-            sizes_of = least.setdefault((_WORDS[row.name], row.unit), [])
+            sizes_of = least.setdefault((_WORDS[row.kind], row.unit), [])
             sizes_of.append(row.least_either_way)
     sizes = []
     for (words, unit), values in least.items():
@@ -458,13 +460,18 @@ def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
 def verdict_on(rows: Sequence[Change], of_model: bool = False) -> tuple[str, ...]:
     """Return what has changed and what to do; or that nothing has, as far as the logs show."""
     lines = sentences(rows, of_model)
-    changed = [row.name for row in rows if row.reason == DIFFERS]
+    changed = [row.kind for row in rows if row.reason == DIFFERS]
     if not changed:
         same = "As the model says" if of_model else "Unchanged"
         return (f"{same}: {lines[0]}", *lines[1:])
-    remedies = dict.fromkeys(_REMEDIES.get(name, _REMEDIES["m"]) for name in changed)
+    remedies = dict.fromkeys(_REMEDIES[kind] for kind in changed)
     differs = "Differs from the model" if of_model else "Changed"
     return f"{differs}: {'; '.join(lines)}", f"What to do: {'; '.join(remedies)}"
+
+
+def _is_mass(row: Change) -> bool:
+    """Return whether a row is the mass of a load, and not one of its first moments."""
+    return row.kind is Kind.LOAD and row.name == INERTIAL[0].name
 
 
 def _sentence_of_model(row: Change) -> str:
@@ -472,18 +479,18 @@ def _sentence_of_model(row: Change) -> str:
     size = with_error(abs(row.value), row.error, row.unit)
     is_more = row.value > 0.0
     way = "more" if is_more else "less"
-    if row.name == "m":
+    if _is_mass(row):
         return f"{row.of} weighs {size} {way} than in the model"
-    if row.name == "scale":
+    if row.kind is Kind.SCALE:
         owner = "all joints" if row.of == ALL_JOINTS else row.of
         return f"the torque of {owner} reads {size} {way} than the model: torque constant or masses"
-    if row.name == "weight":
+    if row.kind is Kind.WEIGHT:
         return f"{row.of} carries {size} {way} than the model's links weigh"
-    if row.name == "tilt":
+    if row.kind is Kind.TILT:
         return f"the tilt of {row.of} is {size} {way} than the model's"
-    if row.name == "delay":
+    if row.kind is Kind.DELAY:
         return f"the torque is {size} {'later' if is_more else 'earlier'} than the position"
-    if row.name in _READINGS:
+    if row.kind in _READINGS:
         return _sentence(row)
     differing = with_error(row.value, row.error, row.unit)
     return f"mass times centre of mass of {row.of} along {row.name[1:]} differs by {differing}"
@@ -493,13 +500,13 @@ def _sentence(row: Change) -> str:
     """Return what has changed, in words."""
     size = with_error(abs(row.value), row.error, row.unit)
     is_more = row.value > 0.0
-    if row.name == "friction":
+    if row.kind is Kind.FRICTION:
         return f"the friction of {row.of} is {size} {'higher' if is_more else 'lower'}"
-    if row.name == "m":
+    if _is_mass(row):
         return f"{size} came {'on' if is_more else 'off'} at {row.of}"
-    if row.name in _READINGS:
+    if row.kind in _READINGS:
         way = "more" if is_more else "less"
-        return f"{_READINGS[row.name]} of {row.of} reads {size} {way}"
+        return f"{_READINGS[row.kind]} of {row.of} reads {size} {way}"
     moved = with_error(row.value, row.error, row.unit)
     return (
         f"mass times centre of mass of {row.of} along {row.name[1:]} changed by {moved}"

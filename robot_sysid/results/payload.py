@@ -26,6 +26,7 @@ from robot_sysid.estimate.quantities import (
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.estimate.trust import missed_friction
 from robot_sysid.records import Array, DataOrigin, Flange
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Detail, Level, Remark
 from robot_sysid.records.quantities import body_quantities
 from robot_sysid.results.identification import judged_files, model_file, result_of
@@ -97,7 +98,7 @@ def payload_result(
     missed = missed_friction(fitted)
     if missed is not None:
         sentence = missed_terms(missed, fitted.question.options.no_friction)
-        remarks.append(Remark(Level.DOUBTS, "friction", sentence))
+        remarks.append(Remark(Level.DOUBTS, FaultName.FRICTION, sentence))
     links = link_estimates(fitted, file)
     rows = [*body_quantities(body), *body_quantities(total)]
     if known_mass is not None:

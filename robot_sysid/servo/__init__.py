@@ -24,6 +24,7 @@ from robot_sysid.export import (
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.records import Array, Motion, Recording, RobotModel, file_access
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Progress
 from robot_sysid.results.lines import card_lines, folder_text, use_lines
 from robot_sysid.results.record import ModelTarget
@@ -100,9 +101,9 @@ def write_servos(
             f"there without it ({new:.3g} rad over {WINDOW:g} s, the model before {old:.3g}, "
             f"the delayed commands {result.goal:.3g})"
         )
-        accepting = option_setting("accept", "rollout")
+        accepting = option_setting("accept", FaultName.ROLLOUT)
         verdict = f"Not usable, but written because of {accepting}: {fault}"
-        if "rollout" not in config.log.accept:
+        if FaultName.ROLLOUT not in config.log.accept:
             remedy = f"to write it all the same: {accepting}"
             failure = f"no model was written: {fault}; {remedy}"
     written = []

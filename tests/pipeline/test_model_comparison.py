@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rigs.arms import small_arms
 from rigs.arms.wrong_arms import truth_of, wrong_links
 from robot_sysid.config import IdentifyConfig
-from robot_sysid.pipeline.changes import DIFFERS, FRICTION_ROW, NOT_JUDGED
+from robot_sysid.pipeline.changes import DIFFERS, NOT_JUDGED, Kind
 from robot_sysid.pipeline.comparison import compare_with_model
 from robot_sysid.records.messages import Progress
 
@@ -80,12 +80,12 @@ def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
     is_misfit = check.has_changed and not named(check)
     for row in check.changes:
         times = row.least / row.error
-        if row.name in ("weight", FRICTION_ROW):
+        if row.kind in (Kind.WEIGHT, Kind.FRICTION_IN_MOTION):
             assert times == pytest.approx(3.0)
         else:
             first = check.changes[0]
             assert times == pytest.approx(first.least / first.error) and times > 3.0
-        reason = NOT_JUDGED if row.name == FRICTION_ROW else DIFFERS
+        reason = NOT_JUDGED if row.kind is Kind.FRICTION_IN_MOTION else DIFFERS
         if row.reason == reason:
             assert abs(row.value) > row.least
         elif abs(row.value) > row.least and not is_misfit:
