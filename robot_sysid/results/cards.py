@@ -28,7 +28,7 @@ from robot_sysid.results.record import Payload
 
 # Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
 # each of ``controllers.SIMULATORS``.
-_TEMPLATES = Path(__file__).with_name("card_templates")
+TEMPLATES = Path(__file__).with_name("card_templates")
 DIGITS = 9
 """Largest number of significant digits of a number that people type into a controller."""
 EXACT_DIGITS = 12
@@ -162,7 +162,7 @@ def _template(name: str) -> Any:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
+        loader=FileSystemLoader(TEMPLATES),
         undefined=StrictUndefined,
         trim_blocks=True,
         keep_trailing_newline=True,

@@ -170,16 +170,7 @@ def test_a_file_of_scales_says_how_sure_they_are(folder, command, truth, monkeyp
     assert priors == [pytest.approx((0.5, 0.5, 0.5, 0.5)), None]
 
 
-def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
-    judge = gate.judge
-    judged = []
-
-    def judge_once(*arguments):
-        """Return what the first run finds: all runs here are on the same log."""
-        judged[:] = judged or [judge(*arguments)]
-        return judged[0]
-
-    monkeypatch.setattr(gate, "judge", judge_once)
+def test_a_warning_stops_unless_it_is_accepted(command):
     printed = command.run("log late.csv arm.xml --json", code=1)
     answer = json.loads(printed.out)
     levels = {finding["about"]: finding["level"] for finding in answer["findings"]}

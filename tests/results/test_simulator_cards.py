@@ -115,7 +115,7 @@ def theta_of(numbers):
 
 
 def test_each_template_has_its_row_and_each_row_its_template():
-    names = {path.stem for path in cards._TEMPLATES.iterdir()}
+    names = {path.stem for path in cards.TEMPLATES.iterdir()}
     assert names == {"plain", "arm", *CHOICES, *SIMULATORS} - {AUTO, ALL}
 
 
