@@ -23,12 +23,11 @@ from rigs.logs.driver_logs import (
     UR_CONSTANTS,
     so101_data_set,
 )
+from robot_sysid.motion.search import Design
 from robot_sysid.parser import load_robot_model
 
 JOINT = 'range="-2 2" armature=".02"'
 SMALL = small_arms.serial_arm(joint=JOINT)
-PATIENCE = 0.2
-"""Of the person with searches [s]: only what is printed counts, not how good a motion is."""
 ZOO = [
     ("kinova_gen3/gen3_official.xml", None),
     ("franka_panda/panda.xml", None),
@@ -52,6 +51,19 @@ def folder(tmp_path, monkeypatch):
     return path
 
 
+@pytest.fixture
+def short_search(monkeypatch):
+    """Plans are hardly searched for: only what is printed counts."""
+
+    few = {"draws": 3, "rounds": 1, "iterations": 3}
+    whole = Design.__init__
+
+    def shortened(self, problem, options, *others):
+        whole(self, problem, replace(options, **few), *others)
+
+    monkeypatch.setattr(Design, "__init__", shortened)
+
+
 def require_done(walk, wanted):
     """Every command has run, and the path ended with what was wanted."""
     steps = walk.steps
@@ -68,7 +80,7 @@ def walk_from_log(path, arm, options=(), runs_remedies=True):
     log = Path("first log.csv")
     arm.record(log, arm.first_plan, arm.tool_mass)
     words = ["robot-sysid", "log", str(log), str(path), *options]
-    walk = Walk(arm, runs_remedies, patience=PATIENCE)
+    walk = Walk(arm, runs_remedies)
     walk.follow(shlex.join(words))
     require_done(walk, "Use this file: ")
     return walk.steps
@@ -77,7 +89,7 @@ def walk_from_log(path, arm, options=(), runs_remedies=True):
 def walk_from_gripper(path, arm, options=()):
     """Plan a motion that weighs what is bolted on and do what is printed."""
     words = ["robot-sysid", "plan", str(path), *options, "--for", "payload"]
-    walk = Walk(arm, patience=PATIENCE)
+    walk = Walk(arm)
     walk.follow(shlex.join(words))
     require_done(walk, "Copy into the controller")
     return walk.steps
@@ -85,7 +97,7 @@ def walk_from_gripper(path, arm, options=()):
 
 def walk_from_recording(path, model, arm, record_again=None):
     """Look at a recording without any option and do what is printed next; return the walk."""
-    walk = Walk(arm, False, record_again, has_tool=False, patience=PATIENCE)
+    walk = Walk(arm, False, record_again, has_tool=False)
     walk.follow(shlex.join(["robot-sysid", "log", str(path), str(model)]))
     require_done(walk, "Use this file: ")
     return walk
@@ -98,23 +110,23 @@ def small_arm():
     return path, TrueArm(load_robot_model(path))
 
 
-def test_from_a_log_to_the_file_to_use():
+def test_from_a_log_to_the_file_to_use(short_search):
     steps = walk_from_log(*small_arm(), runs_remedies=False)
     assert steps[1].line == "robot-sysid identify 'it'\"'\"'s.xml' 'first log.csv'"
     # The tool of its first log is weighed by difference.
     assert len(steps) == 3
 
 
-def test_from_a_self_test_to_the_file_to_use():
+def test_from_a_self_test_to_the_file_to_use(short_search):
     path, arm = small_arm()
-    walk = Walk(arm, patience=PATIENCE)
+    walk = Walk(arm)
     walk.follow(shlex.join(["robot-sysid", str(path)]))
     require_done(walk, "Use this file: ")
     names = [step.line.split()[1] for step in walk.steps]
     assert names[1:] == ["plan", "identify", "payload"]
 
 
-def test_the_second_motion_that_is_proposed_makes_the_file_better():
+def test_the_second_motion_that_is_proposed_makes_the_file_better(short_search):
     """At least half as much as its sentence says."""
     path, _ = small_arm()
     arm = TrueArm(load_robot_model(path), carries=False)
@@ -122,7 +134,7 @@ def test_the_second_motion_that_is_proposed_makes_the_file_better():
     short = replace(arm.first_plan, duration=4.0, fade=1.0)
     arm.record(log, short.scale_amplitudes(0.4), 0.0)
     arm.tool_mass = 0.0
-    walk = Walk(arm, has_tool=False, patience=PATIENCE)
+    walk = Walk(arm, has_tool=False)
     walk.follow(shlex.join(["robot-sysid", "identify", str(path), str(log)]))
     require_done(walk, "If ")
     plan, both = walk.remedies
@@ -137,7 +149,7 @@ def test_the_second_motion_that_is_proposed_makes_the_file_better():
 
 
 @pytest.mark.slow
-def test_from_a_gripper_to_its_card():
+def test_from_a_gripper_to_its_card(short_search):
     steps = walk_from_gripper(*small_arm())
     assert len(steps) == 2
 
@@ -146,7 +158,7 @@ def test_from_a_gripper_to_its_card():
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize(("model", "joint"), ZOO)
-def test_public_arms_are_led_to_the_file_and_to_the_card(model, joint):
+def test_public_arms_are_led_to_the_file_and_to_the_card(short_search, model, joint):
     path = MODELS / model
     options = () if joint is None else ("--joint", joint)
     arm = TrueArm(load_robot_model(path, joint=joint))
@@ -157,7 +169,7 @@ def test_public_arms_are_led_to_the_file_and_to_the_card(model, joint):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("log", DRIVER_LOGS, ids=lambda log: log.name)
-def test_a_drivers_recording_leads_to_the_file(log):
+def test_a_drivers_recording_leads_to_the_file(short_search, log):
     if log.model and not MODELS.is_dir():
         pytest.skip("the public models are not here")
     robot = log.robot(Path())
@@ -170,7 +182,7 @@ def test_a_drivers_recording_leads_to_the_file(log):
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize("log", UNWEIGHED_LOGS, ids=lambda log: log.name)
-def test_motor_currents_lead_over_a_known_mass_to_the_file(log):
+def test_motor_currents_lead_over_a_known_mass_to_the_file(short_search, log):
     """Nothing is fitted to currents before a known mass has shown what an ampere is worth."""
 
     def record_again(path, load):
@@ -190,7 +202,7 @@ def test_motor_currents_lead_over_a_known_mass_to_the_file(log):
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not SO101.exists(), reason="the public models are not here")
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_positions_and_goals_of_a_servo_arm_lead_to_the_file(version):
+def test_positions_and_goals_of_a_servo_arm_lead_to_the_file(short_search, version):
     arm = TrueArm(load_robot_model(SO101))
     walk = walk_from_recording(so101_data_set(Path(), version), SO101, arm)
     assert walk.refused == walk.steps[:1]

@@ -132,8 +132,6 @@ class Walk:
         record_again: writes the recording of the first log's motion, in its form, with a load of
             this mass on the terminal link [kg].
         has_tool: whether the arm of the first log carries something that can be taken off.
-        patience: longest duration of the search for a motion [s], which the person adds to a
-            printed ``plan``; None for the command as it is printed.
 
     Attributes:
         steps: the commands of the path that were run.
@@ -147,11 +145,9 @@ class Walk:
         runs_remedies: bool = True,
         record_again: Callable[[Path, float], None] | None = None,
         has_tool: bool = True,
-        patience: float | None = None,
     ) -> None:
         self.arm = arm
         self._has_tool = has_tool
-        self._patience = patience
         self._record_again = record_again
         self._runs_remedies = runs_remedies
         self._plan: MotionPlan = arm.first_plan
@@ -168,7 +164,7 @@ class Walk:
         while waiting and len(self.steps) < MOST_STEPS:
             line = waiting.pop(0)
             self._record_missing(line)
-            self.steps.append(Step(line, *run_here(self._typed(line))))
+            self.steps.append(Step(line, *run_here(line)))
             output = self.steps[-1].output
             for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
                 mujoco.MjModel.from_xml_path(json.loads(path))
@@ -183,15 +179,9 @@ class Walk:
             waiting += next_commands
             for remedy in remedies if self._runs_remedies else ():
                 self._record_missing(remedy)
-                self.remedies.append(Step(remedy, *run_here(self._typed(remedy))))
+                self.remedies.append(Step(remedy, *run_here(remedy)))
         self.steps += [Step(line, 125, "not reached") for line in waiting]
         return self.steps
-
-    def _typed(self, line: str) -> str:
-        """Return a printed command as the person types it."""
-        if self._patience is None or not line.startswith("robot-sysid plan "):
-            return line
-        return f"{line} --excitation-time-budget {self._patience}"
 
     def _record_missing(self, line: str) -> None:
         """Make the recordings that a command line names and that do not exist."""
