@@ -8,6 +8,8 @@ its path, how the run ends and what is said, and the program in real time when i
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 
 from rigs.files.places import ROOT
@@ -83,22 +85,19 @@ RUNS = [
 UNDISTURBED = Case("nothing", lambda run: None, after=4.0, endings=("completed",))
 
 
-@pytest.fixture(scope="module")
-def outcomes(request):
+@cache
+def outcomes_on(arm):
     """What came of all cases on an arm, by name: their runs branch off one undisturbed run."""
-    cases = ARMS[request.param]
-    setup = cases[0].setup
-    if not getattr(setup, "is_at_hand", True):
-        pytest.skip(f"{setup.model} is not at hand")
-    if request.param == "kinova":
-        cases = [*cases, UNDISTURBED]
+    cases = [*ARMS[arm], UNDISTURBED] if arm == "kinova" else ARMS[arm]
     return {outcome.name: outcome for outcome in outcomes_of(cases)}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("outcomes", "case"), RUNS, indirect=["outcomes"])
-def test_an_incident_ends_a_run_in_time_and_says_so(outcomes, case):
-    outcome = outcomes[case.name]
+@pytest.mark.parametrize(("arm", "case"), RUNS)
+def test_an_incident_ends_a_run_in_time_and_says_so(arm, case):
+    if not getattr(case.setup, "is_at_hand", True):
+        pytest.skip(f"{case.setup.model} is not at hand")
+    outcome = outcomes_on(arm)[case.name]
     assert outcome.ending in case.endings, outcome
     assert departure_of(case, outcome) < case.bound, outcome
     assert case.words in outcome.words, outcome
@@ -108,15 +107,13 @@ def test_an_incident_ends_a_run_in_time_and_says_so(outcomes, case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("outcomes", ["kinova"], indirect=True)
-def test_an_undisturbed_run_completes_and_departs_from_nothing(outcomes):
-    outcome = outcomes["nothing"]
+def test_an_undisturbed_run_completes_and_departs_from_nothing():
+    outcome = outcomes_on("kinova")["nothing"]
     assert outcome.ending == "completed" and outcome.figures["departure"] == 0.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("outcomes", ["kinova"], indirect=True)
-def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
+def test_the_page_says_how_far_joints_get_and_what_is_said():
     page = (ROOT / "benchmarks" / "motors" / "motor_faults.md").read_text(
         encoding="utf-8"
     )
@@ -124,7 +121,7 @@ def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
     stated = {row[0].strip("| "): row[1:] for row in rows if len(row) == 3}
     for case in CASES:
         departure, words = stated[case.name]
-        outcome = outcomes[case.name]
+        outcome = outcomes_on("kinova")[case.name]
         measured = outcome.figures[case.quantity]
         assert abs(float(departure.strip("*")) - measured) < 0.03, case.name
         plays_on = words.startswith("nothing: it plays to the end")
