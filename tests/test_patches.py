@@ -85,7 +85,7 @@ def faults(source: str) -> Iterator[str]:
             target = ast.unparse(node.args[0])
             if target.split(".")[0] in names or "robot_sysid" in target:
                 named = node.args[1] if len(node.args) > 1 else node.args[0]
-                yield f"{target}: {ast.unparse(named)}"
+                yield f"{target}: {ast.unparse(named)}".replace("lambda :", "lambda:")
 
 
 def test_tests_patch_nothing_of_the_package():

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from lxml import etree
 from numpy.testing import assert_allclose, assert_array_equal
@@ -32,6 +32,7 @@ from robot_sysid.errors import ExportError
 from robot_sysid.estimate.choose import coupling, motors_of
 from robot_sysid.model.bodies import body_theta, find_flange
 from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.units import mass_unit
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.quantities import FILE, BodyEstimate, Quantity, body_quantities
@@ -491,6 +492,8 @@ def test_any_arm_takes_any_links_and_any_payload(
     at = ", ".join(str(value) for value in (*rng.uniform(-1.0, 1.0, 3), 10, 20, 30))
     thetas = new_links(robot, rng)
     thetas[-1] = robot.prior.theta + last_body
+    # A drawn body may make the arm heavier than lead of its length, which is read as a wrong unit.
+    assume(mass_unit(robot, float(np.sum(thetas[:, 0])) / robot.mass) == 1.0)
     joints = new_joints(robot, rng)
     gravity = 9.8 * rng.normal(size=3)
     has_payload = target != "links"
