@@ -90,7 +90,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     # motors, and a sign or an order would pass for what has happened to it.
     is_of_model = fitted.question.differing is not None
     if not (is_experiment or is_fitting or is_of_model):
-        search = with_correction(search, evidence)
+        search = search_or_corrected(fitted, search, evidence)
     right = search.start.fit
     named = [*search.start.findings]
     is_corrected = any(each.about in MISTAKES for each in named)
@@ -120,9 +120,12 @@ def is_like_gravity(score: Score) -> bool:
     return is_of_arm and is_harmful and score.name in LIKE_GRAVITY
 
 
-def with_correction(search: Search, evidence: Evidence) -> Search:
-    """Return a search in a log, or the one in its likeliest correction if that explains more."""
-    fitted = search.start.fit
+def search_or_corrected(fitted: Fit, search: Search, evidence: Evidence) -> Search:
+    """Return a search in a log, or the one in its likeliest correction if that explains more.
+
+    Gains are compared, so that corrections are of the log as it was recorded (``fitted``), also
+    where the search itself has corrected its torque scales.
+    """
     best = sorted(corrections(fitted, evidence), key=lambda each: -each.gain)
     # Whatever explains torques in another unit, they are not right as they are.
     is_unit = is_foreign(fitted)
