@@ -231,9 +231,14 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
         point = after.next_point()
         if np.max(np.abs(np.log(change))) < FOUND:
             break
-    after = replace(after, left_out=LeftOut.EACH)
-    relative = after.covariance[np.ix_(at, at)] / np.outer(change, change)
+    # Links that are off are the same in all blocks, and make most of the formal error; what blocks
+    # say beyond that adds to it.
+    alone = replace(after, left_out=LeftOut.EACH).alone[:, at]
+    apart = alone - np.mean(alone, axis=0)
+    jackknife = (1.0 - 1.0 / len(alone)) * apart.T @ apart
+    covariance = after.inverse[np.ix_(at, at)] + jackknife
     coarse = max(each.acceleration_error for each in fitted.recordings)
+    relative = covariance / np.outer(change, change)
     return TorqueScales(scale, relative, is_loaded, coarse)
 
 
