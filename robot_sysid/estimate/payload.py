@@ -55,7 +55,7 @@ def payload_in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimat
     return body_estimate(fitted, PAYLOAD, combinations, values)
 
 
-def torque_scales(fitted: Fit, divided: Array) -> Iterator[Quantity]:
+def torque_scale_rows(fitted: Fit, divided: Array) -> Iterator[Quantity]:
     """Yield the torque scales by a known mass: what the log reads over what is there.
 
     ``divided``: (n,) torque scales by which the torques were divided already.

@@ -12,7 +12,7 @@ from robot_sysid.estimate.payload import (
     contradiction,
     payload_estimate,
     payload_in_flange,
-    torque_scales,
+    torque_scale_rows,
     without_inertia,
     written_payload,
 )
@@ -102,7 +102,7 @@ def payload_result(
     links = link_estimates(fitted, file)
     rows = [*body_quantities(body), *body_quantities(total)]
     if known_mass is not None:
-        rows += torque_scales(fitted, divided)
+        rows += torque_scale_rows(fitted, divided)
     rows += fit_quantities(fitted, file, links)
     return result_of(
         fitted,
