@@ -72,13 +72,13 @@ MODEL_FRICTION = {
 
 
 QUALITY = FitQuality(
-    rmse=0.03,
+    joint_names=("j5", "j6"),
+    blocks=np.full((1, 2), 200 * 0.03**2),
+    counts=np.full(2, 200),
     condition_number=50.0,
     n_base_params=12,
     unidentifiable=(),
-    rmse_per_joint={"j5": 0.03, "j6": 0.03},
     noise_per_joint={"j5": 0.03, "j6": 0.031},
-    samples_per_joint={"j5": 200, "j6": 200},
 )
 ERRORS = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
 
@@ -183,12 +183,11 @@ def without_mass():
 
 
 def validation_of(rmse, source="other.csv", relative=0.02):
-    """A validation with this error, in ten blocks."""
-    blocks = np.outer(np.linspace(0.7, 1.3, 10), [rmse**2])
-    joints = {"j5": rmse, "j6": rmse}
-    return Validation(
-        source, 100, rmse, relative, joints, {"j5": relative}, True, blocks
-    )
+    """A validation with this error at each of two joints, in ten blocks of ten samples."""
+    blocks = np.outer(np.linspace(0.7, 1.3, 10), 2 * [10 * rmse**2])
+    torque = 2 * [100 * (rmse / relative) ** 2]
+    counts = np.full(2, 100)
+    return Validation(("j5", "j6"), blocks, counts, source, np.array(torque), True)
 
 
 def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload"):

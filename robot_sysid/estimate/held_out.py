@@ -13,7 +13,6 @@ import numpy as np
 
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.records import Array, Validation
-from robot_sysid.records.data import rms_of_joints
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.signals.process import FilteredRecording
 
@@ -110,24 +109,14 @@ def _record(
             np.sqrt(np.mean(errors[used] / size[used])) for size in (noise, expected)
         )
         is_informative = bool(of_noise <= SURE or of_all > SURE)
-    rmse, rmse_per_joint = rms_of_joints(sums.joints, errors, counts)
     return Validation(
-        source=source,
-        n_samples=int(np.max(counts, initial=0)),
-        rmse=rmse,
-        relative_error=_relative(np.sum(errors), np.sum(torques)),
-        rmse_per_joint=rmse_per_joint,
-        relative_error_per_joint=dict(
-            zip(sums.joints, map(_relative, errors, torques))
-        ),
-        is_informative=is_informative,
+        joint_names=sums.joints,
         blocks=squares,
+        counts=counts,
+        source=source,
+        squared_torque=torques,
+        is_informative=is_informative,
     )
-
-
-def _relative(error: float, torque: float) -> float | None:
-    """Return a relative error from squares; None where there is no torque."""
-    return float(np.sqrt(error / torque)) if torque > 0.0 else None
 
 
 def is_clearly_lower(errors: Array, reference: Array) -> bool:

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from robot_sysid import spatial
 from robot_sysid.dynamics.friction import COULOMB, VISCOUS
 from robot_sysid.records import Array, FitQuality
-from robot_sysid.records.data import rms_of_joints
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
@@ -148,15 +147,14 @@ def fit_quality(
     of_interest = visible[:, interest]
     sizes = np.linalg.svd(of_interest, compute_uv=False)
     own_rank = visible_space(of_interest).rank
-    rmse, rmse_per_joint = rms_of_joints(joints, squares, counts)
     return FitQuality(
-        rmse=rmse,
+        joint_names=tuple(joints),
+        blocks=squares[np.newaxis],
+        counts=counts,
         condition_number=float(sizes[0] / sizes[own_rank - 1]) if own_rank else np.inf,
         n_base_params=space.rank - nuisance_rank,
         unidentifiable=describe(space.null, names),
-        rmse_per_joint=rmse_per_joint,
         noise_per_joint=noise,
-        samples_per_joint=dict(zip(joints, counts.astype(int).tolist())),
     )
 
 

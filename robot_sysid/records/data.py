@@ -265,72 +265,101 @@ def join_recordings(chunks: Iterable[Recording]) -> Recording:
     return replace(chunks[0], **arrays)
 
 
-def rms_of_joints(
-    joint_names: Sequence[str], squares: Array, counts: Array
-) -> tuple[float, dict[str, float]]:
-    """Return the root mean square of all samples, and joint to that of its own.
-
-    Args:
-        joint_names: the J joints.
-        squares: (J,) sum of squares of each joint.
-        counts: (J,) number of samples in these sums.
-    """
-    per_joint = np.sqrt(squares / np.maximum(counts, 1.0)).tolist()
-    overall = float(np.sqrt(np.sum(squares) / max(np.sum(counts), 1.0)))
-    return overall, dict(zip(joint_names, per_joint))
-
-
-@dataclass(frozen=True)
-class FitQuality:
-    """What the equations of a fit determine, and how well it describes them, by the keys of
-    params.json.
+@dataclass(frozen=True, eq=False)
+class JointErrors:
+    """Torque errors of J joints as sums of squares, from which every error that is stated follows.
 
     Attributes:
-        rmse: root mean square torque residual of all joints [N m].
+        joint_names: of the joints, base to terminal.
+        blocks: (B, J) sums of the squared errors of each joint in blocks of time [N^2 m^2].
+        counts: (J,) number of samples in the sums of each joint.
+    """
+
+    joint_names: tuple[str, ...]
+    blocks: Array
+    counts: Array
+
+    @property
+    def squares(self) -> Array:
+        """Sums (J,) of the squared errors of each joint [N^2 m^2]."""
+        return np.asarray(np.sum(self.blocks, axis=0))
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error of all joints [N m]."""
+        return float(
+            np.sqrt(np.sum(self.squares) / max(float(np.sum(self.counts)), 1.0))
+        )
+
+    @property
+    def rmse_per_joint(self) -> dict[str, float]:
+        """Joint name to its root mean square error [N m]."""
+        errors = np.sqrt(self.squares / np.maximum(self.counts, 1.0))
+        return dict(zip(self.joint_names, errors.tolist()))
+
+
+@dataclass(frozen=True, eq=False)
+class FitQuality(JointErrors):
+    """What the equations of a fit determine, and how well it describes them.
+
+    Attributes:
         condition_number: of the stacked regressor, or of its identifiable part where it has less
             than full rank.
         n_base_params: number of identifiable combinations of the terminal link's parameters and its
             joint's friction.
         unidentifiable: parameters that the data alone does not determine, in words, for instance
             "mass".
-        rmse_per_joint: joint name to the root mean square of its residual [N m].
         noise_per_joint: joint name to standard deviation of its torque noise [N m], where used.
-        samples_per_joint: joint name to the number of samples of its equations.
     """
 
-    rmse: float
     condition_number: float
     n_base_params: int
     unidentifiable: tuple[str, ...]
-    rmse_per_joint: Mapping[str, float]
     noise_per_joint: Mapping[str, float]
-    samples_per_joint: Mapping[str, int]
+
+    @property
+    def samples_per_joint(self) -> dict[str, int]:
+        """Joint name to the number of samples of its equations."""
+        return dict(zip(self.joint_names, self.counts.astype(int).tolist()))
 
 
-@dataclass(frozen=True)
-class Validation:
+@dataclass(frozen=True, eq=False)
+class Validation(JointErrors):
     """Torque prediction errors on some data.
 
     Attributes:
         source: description of the data.
-        n_samples: number of samples of the joint that has most.
-        rmse: root mean square error of all joints [N m].
-        relative_error: ||tau - prediction|| / ||tau|| of all joints; None where tau is zero.
-        rmse_per_joint: joint name to its root mean square error [N m].
-        relative_error_per_joint: joint name to its relative error, or None.
+        squared_torque: (J,) sum of the squared torques of each joint [N^2 m^2].
         is_informative: whether the fitted data determines the torque of such a motion well enough
             for these errors to speak against the fit.
-        blocks: (B, n) sums of the squared errors of each joint in blocks of time [N^2 m^2].
     """
 
     source: str
-    n_samples: int
-    rmse: float
-    relative_error: float | None
-    rmse_per_joint: Mapping[str, float]
-    relative_error_per_joint: Mapping[str, float | None]
+    squared_torque: Array
     is_informative: bool
-    blocks: Array = field(compare=False)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples of the joint that has most."""
+        return int(np.max(self.counts, initial=0))
+
+    @property
+    def relative_error(self) -> float | None:
+        """||tau - prediction|| / ||tau|| of all joints; None where tau is zero."""
+        return _relative(
+            float(np.sum(self.squares)), float(np.sum(self.squared_torque))
+        )
+
+    @property
+    def relative_error_per_joint(self) -> dict[str, float | None]:
+        """Joint name to its relative error, or None."""
+        errors = map(_relative, self.squares, self.squared_torque)
+        return dict(zip(self.joint_names, errors))
+
+
+def _relative(error: float, torque: float) -> float | None:
+    """Return a relative error from squares; None where there is no torque."""
+    return float(np.sqrt(error / torque)) if torque > 0.0 else None
 
 
 Error = TypeVar("Error")

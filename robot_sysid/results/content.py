@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, TERMS, VISCOUS
-from robot_sysid.records import ModelErrors
+from robot_sysid.records import ModelErrors, Validation
 from robot_sysid.records.file_access import CURVED_NAME, strict_json
 from robot_sysid.records.messages import says
 from robot_sysid.results.record import Identification, ModelFile
@@ -26,6 +26,15 @@ SCHEMA_VERSION = 7
 """Version of the format of params.json; readers refuse other versions."""
 Content = Mapping[str, Any]
 """Key to value of params.json, or column to value of one of its rows."""
+_ERROR_KEYS = (
+    "source",
+    "n_samples",
+    "rmse",
+    "relative_error",
+    "rmse_per_joint",
+    "relative_error_per_joint",
+    "is_informative",
+)
 
 
 @dataclass(frozen=True)
@@ -108,11 +117,16 @@ def _errors_of_file(file: ModelFile) -> dict[str, Any]:
 def _errors_of_data(errors: ModelErrors) -> dict[str, Any]:
     """Return the errors of both models on some data, and those with offsets as errors."""
     return {
-        "before": errors.before,
-        "after": errors.after,
-        "before_as_used": errors.as_used.before,
-        "after_as_used": errors.as_used.after,
+        "before": _errors_of(errors.before),
+        "after": _errors_of(errors.after),
+        "before_as_used": _errors_of(errors.as_used.before),
+        "after_as_used": _errors_of(errors.as_used.after),
     }
+
+
+def _errors_of(validation: Validation) -> dict[str, Any]:
+    """Return what params.json says of torque errors on some data."""
+    return {key: getattr(validation, key) for key in _ERROR_KEYS}
 
 
 def _elsewhere_of(file: ModelFile) -> dict[str, Any] | None:
@@ -153,7 +167,7 @@ SOURCES: Mapping[str, Callable[[Params], Any]] = {
     "curves": lambda p: p.result.curves,
     "file": lambda p: p.file(),
     "payload": lambda p: p.payload(),
-    "validation": lambda p: p.result.validation,
+    "validation": lambda p: [*map(_errors_of, p.result.validation)],
     "torques": lambda p: p.result.torques,
     "friction_model": lambda p: p.result.friction_model,
     "cutoff": lambda p: p.result.cutoff,

@@ -103,7 +103,8 @@ def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(
     options = EstimationOptions(keep=("rotors",))
     question = replace(payload_fit.question, options=options)
     _, kept = result_of(replace(payload_fit, question=question))
-    assert errors_of(file).before == errors_of(kept).before
+    before = errors_of(file).before, errors_of(kept).before
+    assert before[0].rmse_per_joint == before[1].rmse_per_joint
     assert validation(file).relative_error < validation(kept).relative_error
 
 

@@ -50,11 +50,18 @@ SPREAD = np.linspace(0.7, 1.3, 10)
 """Shares of an error in ten blocks of a log."""
 
 
-def prediction(relative_error, spread=SPREAD, **joints):
-    """Return a held-out error, as a share of the torque."""
-    errors = list(joints.values()) or [relative_error or 0.0]
-    blocks = np.outer(spread, np.square(errors))
-    return Validation("parts", 100, 0.1, relative_error, {}, joints, True, blocks)
+def prediction(relative_error=None, spread=SPREAD, torque=None, **joints):
+    """Return held-out errors of a joint, or of several, as a share of the torque.
+
+    ``torque`` has the root mean squares of the joints; none for a joint without torque.
+    """
+    errors = np.array([*joints.values()] or [relative_error or 0.0])
+    names = tuple(joints) or ("it",)
+    if torque is None:
+        torque = np.full(len(names), float(bool(joints) or relative_error is not None))
+    counts = np.full(len(names), 100)
+    blocks = 100 * np.outer(spread / np.sum(spread), np.square(errors * torque))
+    return Validation(names, blocks, counts, "parts", 100 * np.square(torque), True)
 
 
 def first(remarks):
@@ -151,13 +158,9 @@ def test_each_implausible_estimate_is_refused_with_its_reason(
         (prediction(0.0), prediction(1e-12), Verdict.AS_GOOD),
         (prediction(None), prediction(None), Verdict.NO_BETTER),
         # A joint that the file predicts clearly worse, unless nobody sees the difference.
-        (
-            prediction(0.3, a=0.1, b=1),
-            prediction(0.1, a=0.12, b=0.1),
-            Verdict.NO_BETTER,
-        ),
-        (prediction(0.3, a=0.1, b=1), prediction(0.1, a=0.104, b=0.1), Verdict.BETTER),
-        (prediction(0.3, a=0.01, b=1), prediction(0.1, a=0.019, b=0.1), Verdict.BETTER),
+        (prediction(a=0.1, b=1), prediction(a=0.12, b=0.1), Verdict.NO_BETTER),
+        (prediction(a=0.1, b=1), prediction(a=0.104, b=0.1), Verdict.BETTER),
+        (prediction(a=0.01, b=1), prediction(a=0.019, b=0.1), Verdict.BETTER),
     ],
 )
 def test_a_file_is_compared_with_the_model_before(model, file, verdict):
@@ -190,8 +193,8 @@ def test_held_out_errors_may_be_three_times_the_noise(
     noisy_fit, factor, relative_error, is_ok
 ):
     noise = noisy_fit.noise_per_joint
-    errors = {joint: factor * size for joint, size in noise.items()}
-    test = replace(prediction(relative_error), rmse_per_joint=errors)
+    torque = factor * np.array([*noise.values()]) / relative_error
+    test = prediction(torque=torque, **dict.fromkeys(noise, relative_error))
     verdict, sentences = judge_fit(noisy_fit, test)
     assert verdict is (OK if is_ok else Verdict.UNEXPLAINED)
     assert is_ok or "of parts are predicted 3.5 times worse" in sentences[0]
