@@ -129,7 +129,7 @@ def save(
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
             written += motor_paths
-        has_curved = file_access.curved_in(written) is not None
+        has_curved = file_access.curved_file_in(written) is not None
         content = content_of(result, card, notes, failure, has_curved)
         step = None if content["failure"] else step
         verdict = last_lines(content, written, step)
@@ -233,7 +233,7 @@ def write_simulator_cards(
         return []
     model = models[0]
     arm = load_robot_model(files.draft_of(model), joint=robot.terminal_joint)
-    curved = file_access.curved_in(written)
+    curved = file_access.curved_file_in(written)
     curved_name = curved.name if curved else ""
     paths = []
     for simulator, name in file_access.SIMULATOR_CARD_NAMES.items():

@@ -34,7 +34,7 @@ from rigs.files.places import ROOT
 from robot_sysid.api.calls import identify, payload, read_log
 from robot_sysid.cli import main as run_command
 from robot_sysid.records import Recording
-from robot_sysid.records.file_access import curved_in
+from robot_sysid.records.file_access import curved_file_in
 from robot_sysid.signals.process import low_pass_recordings
 
 TABLE = PageTable(
@@ -196,7 +196,7 @@ def elsewhere(arm: PublicArm) -> str:
             last = cut(log, middle, end)
             test = Recording(last["time"], last["q"], None, last["tau"])
         models = [p for p in result.save(folder) if p.suffix in (".xml", ".urdf")]
-        file = curved_in(models) or models[0]
+        file = curved_file_in(models) or models[0]
         signals = low_pass_recordings(result.robot, [test], result.cutoff)[0][0]
         shares = [
             file_error(judged, result.robot, signals)

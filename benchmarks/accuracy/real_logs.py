@@ -34,7 +34,7 @@ from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Recording
-from robot_sysid.records.file_access import curved_in
+from robot_sysid.records.file_access import curved_file_in
 from robot_sysid.signals.process import low_pass_recordings
 
 TABLE = PageTable(
@@ -169,7 +169,7 @@ def column(case: Case, folder: Path) -> dict[str, str]:
         ]
         error = [percent(file_error(path, result.robot, test)) for path in written[:1]]
         cells[file_format] = error[0] if error else "none is written"
-        curved = curved_in(written)
+        curved = curved_file_in(written)
         cells["curved"] = cells[file_format]
         if curved:
             cells["curved"] = percent(file_error(curved, result.robot, test))

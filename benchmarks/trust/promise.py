@@ -70,7 +70,7 @@ from robot_sysid.motion.promise import grams, knowledge_of
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, Recording, RobotModel
-from robot_sysid.records.file_access import curved_in, models_in
+from robot_sysid.records.file_access import curved_file_in, models_in
 from robot_sysid.records.levels import LIKE_LOG
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.process import FilteredRecording, low_pass_recordings
@@ -312,7 +312,7 @@ def judged(
     if answer is None or not models:
         row["refused"] = said.rpartition("error: ")[2].strip()
         return row
-    curved = curved_in(written)
+    curved = curved_file_in(written)
     path = curved or models[0]
     file = answer["file"]["curved"] if curved else answer["file"]
     elsewhere = file.get("elsewhere")
@@ -500,7 +500,7 @@ def real(pair: Pair) -> Row:
     robot = result.robot
     with tempfile.TemporaryDirectory() as folder:
         models = [p for p in result.save(folder) if p.suffix in (".xml", ".urdf")]
-        file = compile_model(curved_in(models) or models[0]).mj_model
+        file = compile_model(curved_file_in(models) or models[0]).mj_model
         other = recording_of(pair.other.of(path, pair.options))
         pieces, _ = low_pass_recordings(robot, split_at_gaps(other), result.cutoff)
         before, after = (

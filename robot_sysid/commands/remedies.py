@@ -37,13 +37,13 @@ def remedies(
         option = _with_units_of(values, stated)
         # A payload of known mass has all that the weighing needs, but for the first scales.
         if error.command == "payload" and logs and "known_mass" not in values:
-            yield shlex.join(_weighing(logs, values, option))
+            yield shlex.join(_weighing_command(logs, values, option))
         # Only that command has these options, or who has stated columns goes on to it.
         elif name == "log" and (error.command or isinstance(error, ColumnsError)):
             step = step_after(SAME_LOG, values, *option, log=logs)
             yield shlex.join(step.command)
         elif error.command in ("", name):
-            typed = _without_replaced(arguments, option)
+            typed = _without_columns(arguments, option)
             yield shlex.join([PROGRAM, *name.split(), *typed, *option])
 
 
@@ -64,7 +64,7 @@ def _with_units_of(
     return option
 
 
-def _weighing(
+def _weighing_command(
     logs: Sequence[Path], values: Mapping[str, Any], option: tuple[str, ...]
 ) -> Sequence[str]:
     """Return the command that finds the scales of torques with a weight of known mass."""
@@ -74,7 +74,7 @@ def _weighing(
     return step_after(state, values, *option, log=logs, weight=weight).command
 
 
-def _without_replaced(arguments: Sequence[str], option: tuple[str, ...]) -> list[str]:
+def _without_columns(arguments: Sequence[str], option: tuple[str, ...]) -> list[str]:
     """Return arguments without the columns and units for which an option states others.
 
     Corrected columns have all that those in use have, and so have units.

@@ -75,7 +75,7 @@ class Floating(Follower):
 
     def begin(self, standing: Reference) -> Floating:
         """Take the reference in which the arm stands, and return this reference."""
-        self._limits = self._plan.command_limits.including(standing.position)
+        self._limits = self._plan.command_limits.with_positions(standing.position)
         self._position = standing.position
         # Last believed positions of the joints, their means over ``MEAN_TIME``, and those
         # from which they float (n,) each [rad].

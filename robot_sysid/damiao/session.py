@@ -232,7 +232,9 @@ class MotorSession:
         This is for lowering an arm without a model, whose end position is unknown.
         """
         frames = self._frames
-        self.limits = self.limits.including(frames.lower).including(frames.upper)
+        self.limits = self.limits.with_positions(frames.lower).with_positions(
+            frames.upper
+        )
 
     def __enter__(self) -> MotorSession:
         """Return the session; no motor is enabled by this."""
@@ -286,7 +288,7 @@ class MotorSession:
             raise HardwareAbort(f"{self.joints[j].label} did not enable: {reason}")
         now = self.clock.now()
         self._filter.start(now, position)
-        self.limits = self.limits.including(position)
+        self.limits = self.limits.with_positions(position)
         self.sent_position = position.copy()
         self._moved_until = np.full(self.n_joints, now)
         return position

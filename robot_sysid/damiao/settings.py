@@ -222,7 +222,7 @@ class PlaySettings(OptionRecord):
         return 1.0 / self.rate
 
 
-def slowed_in_a_cycle(period: float, kp: Array | float, kd: Array | float) -> Any:
+def slowing_in_a_cycle(period: float, kp: Array | float, kd: Array | float) -> Any:
     """Return the largest ratio of a joint's mean speed to the one at which it is sampled.
 
     A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd, and is sampled

@@ -249,7 +249,7 @@ def column_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
         if reading.gravity is None:
             after = refit(fitted, reading)
         else:
-            after, turned = mounting(fitted, reading, reading.gravity)
+            after, turned = mounting_correction(fitted, reading, reading.gravity)
             findings += turned
         if fits(after):
             break
@@ -285,7 +285,7 @@ def column_findings(
             yield Finding(Level.REFUSES, FaultName.ZERO, text, remedy)
 
 
-def mounting(
+def mounting_correction(
     fitted: Fit, reading: Reading, gravity: Array
 ) -> tuple[Fit, list[Finding]]:
     """Return the fit of an arm whose base is mounted otherwise, and the finding, if it is.

@@ -94,7 +94,7 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
 
     That of a joint that stands still is zero, its error infinite.
     """
-    values, inverse = fitted.unbounded
+    values, inverse = fitted.unbounded_solution
     known = dict(zip(fitted.names, zip(values, np.diag(inverse))))
     names = map(COULOMB.key_of, fitted.arm.joints)
     dry, variance = np.transpose([known.get(name, (0.0, np.inf)) for name in names])

@@ -74,7 +74,7 @@ class Search:
         """Return the state with the log as another correction has it."""
         return replace(self, start=correction, current=correction.fit)
 
-    def joined_by(self, ties: tuple[Score, ...]) -> Search:
+    def with_winner(self, ties: tuple[Score, ...]) -> Search:
         """Return the state that the first of equally likely explanations has joined."""
         winner = ties[0]
         current = fit_with(winner.fitted, [winner.explanation.effect])
@@ -105,7 +105,7 @@ def search_faults(start: Correction, evidence: Evidence) -> Search:
         if scales is not None:
             found = found.with_correction(scales)
         elif ties:
-            found = found.joined_by(ties)
+            found = found.with_winner(ties)
         else:
             break
     return found

@@ -291,4 +291,4 @@ class Coupling:
         """Return a compiled model's value of a parameter of this motor; 0 where it states none."""
         if self.tendon is None or not parameter.attribute:
             return 0.0
-        return float(np.ravel(parameter.stated_in(mj_model, "tendon")[self.tendon])[0])
+        return float(np.ravel(parameter.values_in(mj_model, "tendon")[self.tendon])[0])

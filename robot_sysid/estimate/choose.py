@@ -107,7 +107,9 @@ def solve_question(
             noise=current.noise,
             correlation=correlation_times(current.split(current.residuals)),
         )
-        current = start.fit(judged_by_residuals(replace(current, arm=arm), number == 0))
+        current = start.fit(
+            problem_from_residuals(replace(current, arm=arm), number == 0)
+        )
         progress.advance(_LABEL, 2 * number + 2, n_steps, "")
         is_last = number + 1 == n_rounds
         if beside is not None and is_last:
@@ -171,7 +173,7 @@ def first_fit(
     return start, without_contacts(start.fit(problem))
 
 
-def judged_by_residuals(fitted: Fit, is_first: bool) -> Problem:
+def problem_from_residuals(fitted: Fit, is_first: bool) -> Problem:
     """Return the question of a fit with the dry friction that it found.
 
     After the first fit, rows are left out in which a joint sticks at its turn.

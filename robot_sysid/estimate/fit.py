@@ -343,14 +343,14 @@ class Fit(Problem):
         return self.equations.normal(self.weights)
 
     @cached_property
-    def unbounded(self) -> tuple[Array, Array]:
+    def unbounded_solution(self) -> tuple[Array, Array]:
         """Estimate (k,) without bounds, and the covariance (k, k) that noise and priors imply."""
         return solve(self.normal, self.equations.reference)
 
     @property
     def inverse(self) -> Array:
         """Covariance (k, k) that noise and priors imply."""
-        return self.unbounded[1]
+        return self.unbounded_solution[1]
 
     @property
     def start(self) -> Array:
@@ -359,7 +359,7 @@ class Fit(Problem):
 
     def residual_noise(self) -> Array:
         """Return the noise (J,) of each joint's residuals without bounds [N m]."""
-        values, inverse = self.unbounded
+        values, inverse = self.unbounded_solution
         leverage = self.weights**2 * self.equations.spread(inverse)
         return self.sums.noise(self.equations.squared_residuals(values), leverage)
 

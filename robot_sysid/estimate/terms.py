@@ -337,7 +337,7 @@ class ArmTerms:
             )
             for cause, of_joints, constant in drifting:
                 drifts = parameters.drift_of(of_joints)
-                yield Term(cause, drifts, partial(self._drifting, constant))
+                yield Term(cause, drifts, partial(self._drift_columns, constant))
         if self.has_gravity:
             yield Term(TILT, parameters.TILTS, self._tilt)
         yield Term(DELAY, (parameters.DELAY,), self._delay)
@@ -535,7 +535,7 @@ class ArmTerms:
         slopes = moves.slopes(point.carried_links(rows.is_loaded), rows.motion.qd)
         return -slopes[:, self.indices]
 
-    def _drifting(self, columns: Columns, rows: Rows, point: Point) -> Array:
+    def _drift_columns(self, columns: Columns, rows: Rows, point: Point) -> Array:
         """Return columns (m, J, k) of a drift from recording to recording."""
         return rows.recording.order * columns(rows, point)
 

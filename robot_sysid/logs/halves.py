@@ -159,7 +159,7 @@ def _interpolate(
     """
     from scipy.interpolate import CubicSpline
 
-    q, tau = (_increasing(cells) for cells in (q, tau))
+    q, tau = (_increasing_rows(cells) for cells in (q, tau))
     if min(len(q), len(tau)) < FEWEST_ROWS:
         raise InputError(f"{position} and {torque} have too few rows with times")
     start = max(q[0, 0], tau[0, 0])
@@ -189,7 +189,7 @@ def _interpolate(
     return common, values, how
 
 
-def _increasing(cells: Array) -> Array:
+def _increasing_rows(cells: Array) -> Array:
     """Return the rows of numbers that are later than all before; time is their first column."""
     rows = cells[(np.abs(cells) < LARGEST_NUMBER).all(axis=1)]
     is_later = np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0.0

@@ -237,7 +237,7 @@ def with_actuators_in_joints(mj_model: Any) -> Any:
     return folded
 
 
-def stated_at_actuator(mj_model: Any, actuator: int) -> set[str]:
+def names_at_actuator(mj_model: Any, actuator: int) -> set[str]:
     """Return which of "armature" and "damping" a file states at an actuator (id)."""
     names = set()
     for name in _STATED:

@@ -174,7 +174,7 @@ def knowledge_of(fitted: Fit, sums: Sums) -> Knowledge:
     at = np.flatnonzero(known)
     of_fit = fitted.at([*itertools.compress(sums.names, known)])
     precision = np.zeros((len(known), len(known)))
-    precision[at[:, None], at] = _marginal(fitted.normal[:-1, :-1], of_fit)
+    precision[at[:, None], at] = _marginal_precision(fitted.normal[:-1, :-1], of_fit)
     formal = np.maximum(np.diag(fitted.inverse), 1e-300)
     of_data = np.sqrt(np.clip(fitted.jackknife / formal, 1.0, MOST_RAISED**2))
     raised = np.ones(len(known))
@@ -251,7 +251,7 @@ def is_without_rows(fitted: Fit) -> NDArray[np.bool_]:
     return np.sum(fitted.sums.counts, axis=0) == 0
 
 
-def _marginal(normal: Array, at: NDArray[np.int64]) -> Array:
+def _marginal_precision(normal: Array, at: NDArray[np.int64]) -> Array:
     """Return the marginal precision (m, m) of some parameters: the others are not known either.
 
     Made-up motions lack a column of a log, that of its delay.

@@ -65,12 +65,12 @@ _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 def models_in(files: Iterable[Path]) -> list[Path]:
     """Return the updated models, MJCF or URDF, among written files; empty if there is none.
 
-    That with friction that bends (``curved_in``) is beside one of them.
+    That with friction that bends (``curved_file_in``) is beside one of them.
     """
     return [path for path in files if path.name in MODEL_NAMES.values()]
 
 
-def curved_in(files: Iterable[Path]) -> Path | None:
+def curved_file_in(files: Iterable[Path]) -> Path | None:
     """Return the model whose friction bends among written files; None if there is none."""
     return next((path for path in files if path.name == CURVED_NAME), None)
 

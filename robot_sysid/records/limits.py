@@ -182,7 +182,7 @@ class Limits:
         upper = np.where(self.has_range, self.upper, reference + reach)
         return replace(self, lower=lower, upper=upper)
 
-    def including(self, q: Array) -> Limits:
+    def with_positions(self, q: Array) -> Limits:
         """Return limits whose ranges include positions q (n,) too [rad]; NaN is left out."""
         lower = np.fmin(self.lower, q)
         return replace(self, lower=lower, upper=np.fmax(self.upper, q))

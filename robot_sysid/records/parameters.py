@@ -108,9 +108,9 @@ class Parameter:
         """Return the model's value (n,) of each joint; zero of what no file holds."""
         if not self.attribute:
             return np.zeros(robot.n_joints)
-        return self.stated_in(robot.mj_model, "dof")[robot.dof_index]
+        return self.values_in(robot.mj_model, "dof")[robot.dof_index]
 
-    def stated_in(self, mj_model: Any, kind: str) -> Array:
+    def values_in(self, mj_model: Any, kind: str) -> Array:
         """Return a compiled model's values of all its joints ("dof") or tendons ("tendon")."""
         count = mj_model.nv if kind == "dof" else mj_model.ntendon
         # Older releases of MuJoCo lack polynomials, and rotors of tendons.

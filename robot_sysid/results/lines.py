@@ -19,7 +19,7 @@ from robot_sysid.records.controllers import SIMULATORS
 from robot_sysid.records.file_access import (
     CARD_NAME,
     SIMULATOR_CARD_NAMES,
-    curved_in,
+    curved_file_in,
     models_in,
 )
 from robot_sysid.records.messages import Detail, NextStep, percent
@@ -309,7 +309,7 @@ def file_lines(content: Content, files: Sequence[Path]) -> Iterator[str]:
     """
     contents = ", the arm with its payload" if content["payload"] else ""
     start = f"Use this file{contents}"
-    curved = curved_in(files)
+    curved = curved_file_in(files)
     for path in models_in(files)[:1]:
         reason = ""
         if curved:

@@ -30,7 +30,7 @@ from robot_sysid.mjcf.updated_model import (
     ModelChange,
     changed_model_text,
 )
-from robot_sysid.model.actuators import AT_TENDON, actuators_on, stated_at_actuator
+from robot_sysid.model.actuators import AT_TENDON, actuators_on, names_at_actuator
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import mjcf_of
@@ -354,7 +354,7 @@ def _emptied_actuators(
         elif element.kind == "tendon" and element.owner is not None:
             actuators = actuators_on(model, element.owner, AT_TENDON)
         for actuator in actuators:
-            emptied = stated_at_actuator(model, actuator) & {*element.numbers}
+            emptied = names_at_actuator(model, actuator) & {*element.numbers}
             if emptied:
                 numbers = dict.fromkeys(sorted(emptied), 0.0)
                 yield ElementChange("actuator", actuator, numbers)

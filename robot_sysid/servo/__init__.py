@@ -32,7 +32,7 @@ from robot_sysid.results.written_model import write_joints
 from robot_sysid.servo.command_check import check_commands
 from robot_sysid.servo.fit import ServoFit, fit_servos
 from robot_sysid.servo.loop import goal_error, rms
-from robot_sysid.servo.played_fit import refine_played
+from robot_sysid.servo.played_fit import refine_by_playing
 from robot_sysid.servo.result import ServoIdentification, servo_lines, servo_notes
 from robot_sysid.servo.windows import WINDOW, ServoProblem
 from robot_sysid.signals.resampling import split_at_gaps
@@ -164,7 +164,7 @@ def identify_servos(
     rollouts = ServoRollouts(robot)
     problem = ServoProblem(rollouts, fitted)
     test_problem = ServoProblem(rollouts, held_out)
-    found = refine_played(problem, fit_servos(robot, fitted))
+    found = refine_by_playing(problem, fit_servos(robot, fitted))
     fit, is_new, before, after = numbers_to_write(found, problem, test_problem)
     result = ServoIdentification(
         robot=robot,

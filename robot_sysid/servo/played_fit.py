@@ -43,7 +43,7 @@ LEAST_SCALE = 1e-9
 """Least scale of position errors [rad or m]."""
 
 
-def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
+def refine_by_playing(problem: ServoProblem, fit: ServoFit) -> ServoFit:
     """Return a fit with a delay, and numbers of fast servos, with which a model plays the windows.
 
     Unknown are factors on the model's numbers, the means of wide priors, or on those of the

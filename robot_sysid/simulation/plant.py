@@ -210,7 +210,7 @@ class ArmStepper:
         )
         self.q: Array = np.array(q, dtype=float)
         # Positions of the joint stops; an arm that begins beyond its range has them there.
-        self._stops = robot.limits.including(self.q)
+        self._stops = robot.limits.with_positions(self.q)
         self.qd: Array = np.zeros(robot.n_joints)
         # Change of velocity in the last step.
         self._last_change: Array = np.zeros(robot.n_joints)

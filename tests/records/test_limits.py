@@ -113,7 +113,7 @@ def test_limits_that_nothing_keeps_are_refused(numbers):
 def test_a_missing_range_lies_about_the_reference_and_positions_may_widen_it():
     lower = np.array([-np.inf, -1.0])
     ranged = Limits(lower, -lower).around(np.array([0.5, 0.5]), 2.0)
-    wide = ranged.including(np.array([np.nan, 3.0]))
+    wide = ranged.with_positions(np.array([np.nan, 3.0]))
     assert_array_equal(ranged.center, [0.5, 0.0])
     assert_array_equal([wide.lower, wide.upper], [[-1.5, -1.0], [2.5, 3.0]])
     assert_array_equal(lower, [-np.inf, -1.0])

@@ -10,7 +10,7 @@ from rigs.logs.servo_logs import positions, sines_and_steps
 from robot_sysid.records import Recording
 from robot_sysid.servo.fit import LINK_ERROR, fit_servos
 from robot_sysid.servo.loop import rms
-from robot_sysid.servo.played_fit import refine_played
+from robot_sysid.servo.played_fit import refine_by_playing
 from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.simulation.playback import (
     ServoParameters,
@@ -136,7 +136,7 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     fit = fit_to(robot, piece)
     assert fit.is_fast.all()
     problem = ServoProblem(ServoRollouts(robot), [piece])
-    refined = refine_played(problem, fit)
+    refined = refine_by_playing(problem, fit)
     assert refined.numbers[3] == pytest.approx(truth.numbers[3], rel=0.1)
     assert refined.numbers[1] == pytest.approx(truth.numbers[1], rel=0.2)
     assert np.all(np.abs(refined.numbers - truth.numbers) <= 3.0 * refined.errors)

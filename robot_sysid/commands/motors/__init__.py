@@ -15,10 +15,10 @@ from robot_sysid.commands.motors.moving import move
 from robot_sysid.commands.motors.session import (
     PlayChoices,
     Session,
+    check_and_run,
     conclude_on_reports,
     findings,
     play_step,
-    run_checked,
     steps_after_play,
 )
 from robot_sysid.commands.motors.setup import (
@@ -80,13 +80,13 @@ def play(session: Session, is_real: bool = True) -> int:
     It is 1 where a motor reported a fault again and again, or where the recording contradicts
     itself, or the model by more than models are usually off; and else 0. ``is_real`` tells whether
     to play on real motors, not on a simulated arm in simulated time. Errors are those of
-    ``run_checked``; InputError without --channel for real motors.
+    ``check_and_run``; InputError without --channel for real motors.
     """
     plan = session.plan()
     opened = session.open_guarded() if is_real else session.open_simulated(plan)
     with recorded_plan(plan) as recorded:
         with opened as link:
-            report = run_checked(session, link, recorded, inspect_bus(link), is_real)
+            report = check_and_run(session, link, recorded, inspect_bus(link), is_real)
         # The motors are off, and the bus is closed.
         said = judge_run(recorded, session.options.files.model, session.options.model)
     session.console.stage(*said.lines)

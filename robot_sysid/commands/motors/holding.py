@@ -9,8 +9,8 @@ import numpy as np
 from robot_sysid.commands.motors.following import plan_step
 from robot_sysid.commands.motors.session import (
     Session,
+    check_and_run,
     conclude_on_reports,
-    run_checked,
 )
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.floating import Floating, measure_drift
@@ -24,7 +24,7 @@ def hold(session: Session) -> int:
     """Hold an arm where it is, or let it float, and print how its joints drift.
 
     Returns the exit code: 1 where a motor reported a fault again and again, else 0. Errors are
-    those of ``run_checked`` and ``standing_plan``.
+    those of ``check_and_run`` and ``standing_plan``.
     """
     options = session.options.standing
     is_real = not options.simulate
@@ -43,7 +43,7 @@ def hold(session: Session) -> int:
             text = f"taking the stiffness away, then floating {text}"
             activity = Activity(text, floating.begin, floating.duration)
         try:
-            report = run_checked(session, link, plan, inspection, is_real, activity)
+            report = check_and_run(session, link, plan, inspection, is_real, activity)
         except HardwareAbort:
             # No error of measuring or printing may hide what happened to the motors.
             with contextlib.suppress(Exception):

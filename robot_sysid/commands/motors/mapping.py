@@ -95,7 +95,7 @@ def map_joints(session: Session, options: MapOptions) -> int:
     """Write the joint map that a person shows by moving the limp arm; return the exit code 0.
 
     InputError where the map's file exists already or cannot be written, before the arm is moved;
-    other errors are those of ``mounted_by_hand``, ``zeros_at_pose`` and ``zeros_at_stops``.
+    other errors are those of ``joints_by_hand``, ``zeros_at_pose`` and ``zeros_at_stops``.
     """
     robot = session.robot
     if options.output.exists():
@@ -110,7 +110,7 @@ def map_joints(session: Session, options: MapOptions) -> int:
             arm.require(mounted)
             joints = zeros_at_stops(session, arm, robot, mounted, has_zeros=True)
         else:
-            turned = mounted_by_hand(arm, robot)
+            turned = joints_by_hand(arm, robot)
             mounted = tuple(joint for joint, _ in turned)
             if options.zeros_at_stops:
                 joints = zeros_at_stops(session, arm, robot, mounted, has_zeros=False)
@@ -141,7 +141,7 @@ def _rows_to_renew(options: MapOptions) -> tuple[DamiaoJoint, ...]:
     return read_joint_map(options.joint_map)
 
 
-def mounted_by_hand(arm: LimpArm, robot: RobotModel) -> list[tuple[DamiaoJoint, float]]:
+def joints_by_hand(arm: LimpArm, robot: RobotModel) -> list[tuple[DamiaoJoint, float]]:
     """Return the joints that a person shows by moving one after the other, base to terminal.
 
     They have motors and directions, and no zeros yet. Beside each is the position to which its

@@ -18,8 +18,8 @@ from robot_sysid.commands.motors.following import step_with_motors
 from robot_sysid.commands.motors.session import (
     USUAL_CHANNEL,
     Session,
+    check_and_run,
     conclude_on_reports,
-    run_checked,
 )
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.references import (
@@ -131,7 +131,7 @@ def moving_activity(plan: Plan, holding: HoldingTorque, goal_name: str) -> Activ
 def move(session: Session, options: MoveOptions) -> int:
     """Move an arm to a pose of its model, hold it there for a moment, and disable it.
 
-    Returns the exit code, see ``conclude_on_reports``. Errors are those of ``run_checked``,
+    Returns the exit code, see ``conclude_on_reports``. Errors are those of ``check_and_run``,
     ``standing_plan`` and ``goal_pose``: a pose that does not exist is refused before anything is
     asked of a motor.
     """
@@ -149,7 +149,7 @@ def move(session: Session, options: MoveOptions) -> int:
         inspection = inspect_bus(link)
         plan = moving_plan(session.standing_plan(inspection), robot, goal)
         activity = moving_activity(plan, session.holding(plan), goal_name)
-        report = run_checked(session, link, plan, inspection, is_real, activity)
+        report = check_and_run(session, link, plan, inspection, is_real, activity)
     joints = plan.trajectory.joints
     ids = [joint.can_id for joint in joints]
     step = step_with_motors(session, robot, inspection.motors, ids)

@@ -245,7 +245,7 @@ def findings(
     return remarks
 
 
-def run_checked(
+def check_and_run(
     session: Session,
     link: GuardedLink,
     plan: Plan,

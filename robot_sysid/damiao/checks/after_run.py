@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.damiao.settings import Plan, slowed_in_a_cycle
+from robot_sysid.damiao.settings import Plan, slowing_in_a_cycle
 from robot_sysid.errors import SysidError, error_text
 from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.records import Array
@@ -162,7 +162,7 @@ def contradictions(path: Path, labels: Sequence[str]) -> list[str]:
         kd = gains["kd"][number]
         own = steps.get(number, (0.0, 0.0))
         sentences += [f"{label}: {text}" for text in _of_torque(signals, kp, kd, own)]
-        slowed = slowed_in_a_cycle(float(np.median(np.diff(signals["time"]))), kp, kd)
+        slowed = slowing_in_a_cycle(float(np.median(np.diff(signals["time"]))), kp, kd)
         of_velocity = _of_velocity(signals, own[1], slowed)
         sentences += [f"{label}: {text}" for text in of_velocity]
     return sentences
@@ -257,7 +257,7 @@ def _of_velocity(
     Args:
         signals: of the joint, (N,) each.
         step: in which its motor reports velocity [rad/s].
-        slowed: by how much its mean speed may exceed the sampled one, see ``slowed_in_a_cycle``.
+        slowed: by how much its mean speed may exceed the sampled one, see ``slowing_in_a_cycle``.
     """
     time = signals["time"]
     position = signals["pos"] - np.mean(signals["pos"])

@@ -45,7 +45,7 @@ from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.health import BusHealth
 from robot_sysid.damiao.safety.holding import LOADED, HoldingTorque, torque_doubt
 from robot_sysid.damiao.safety.plausibility import Mask, Replies
-from robot_sysid.damiao.settings import PlaySettings, slowed_in_a_cycle
+from robot_sysid.damiao.settings import PlaySettings, slowing_in_a_cycle
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 from robot_sysid.records.levels import INTERVAL, STOPPING
@@ -202,7 +202,7 @@ class Watch:
         self._sag = np.minimum(2.0 * rated / kp, settings.tracking)
         self._pushed = np.minimum(rated / kp, settings.tracking)
         # How much faster a joint is on average than where it is sampled.
-        self._slowed = slowed_in_a_cycle(settings.period, kp, np.array(settings.kd))
+        self._slowed = slowing_in_a_cycle(settings.period, kp, np.array(settings.kd))
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # The largest friction of a joint that nobody knows.
