@@ -34,6 +34,9 @@ LARGEST_WRAP_STEP = 0.5
 """Motion within one sample beside which a full turn is a wrap [rad]: 100 rad/s at 200 Hz."""
 LARGEST_VALUE = 1e7
 """Larger positions and torques are faults of a file [SI units]."""
+LEAST_TORQUE = 1e-30
+"""Torque below which there is none [N m or N]: memory that was never written holds such numbers, and
+so much less than any sensor's step has squares that are no numbers."""
 MOST_UNREADABLE = 0.01
 """Share of unreadable rows above which a file is no such table (chosen)."""
 MOST_INCOMPLETE = 0.05
@@ -99,6 +102,7 @@ def read_recording(
             turns = np.round(step / _TURN)
             turns[np.abs(step - turns * _TURN) > LARGEST_WRAP_STEP] = 0.0
             q[1:, joint] -= _TURN * np.cumsum(turns)
+        tau[np.abs(tau) < LEAST_TORQUE] = 0.0
         recording = Recording(
             time=cells[:, 1],
             q=q,
@@ -351,8 +355,9 @@ def torque_notes(recording: Recording) -> Iterator[str]:
         )
     names = [*compress(recording.joint_names, is_constant & ~is_zero)]
     if names:
+        value = "zero" if not np.any(tau) else "the same"
         raise InputError(
-            f"the torque of joint {' and '.join(names)} is the same in every row; record it, or "
+            f"the torque of joint {' and '.join(names)} is {value} in every row; record it, or "
             f"name the right column with {option_name('columns', 'FILE')}, or state there that it "
             f"has none: torque.{names[0]} = none"
         )

@@ -98,6 +98,10 @@ ERRORS: dict[str, tuple[Callable, str]] = {
         changing(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
         "columns tau1, tau3.*--columns FILE",
     ),
+    "memory never written": (
+        changing(np.s_[:, 4:7], lambda tau: 1e-308 * tau),
+        "the torque of joint .* is zero in every row",
+    ),
     "separate joints": (
         separate_joints,
         "first: line 2, columns q1, tau1.*record all joints",
@@ -152,6 +156,10 @@ NOTES: dict[str, tuple[Callable, str]] = {
     ),
     "no motor": (
         changing(np.s_[:, 5], lambda tau: 0.0 * tau),
+        "joints without torque in this log.*friction is the model's: elbow",
+    ),
+    "motor's memory never written": (
+        changing(np.s_[:, 5], lambda tau: 1e-308 * tau),
         "joints without torque in this log.*friction is the model's: elbow",
     ),
 }
