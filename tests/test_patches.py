@@ -23,7 +23,6 @@ LEFT = {
     "tests/api/test_threads.py: calls.stages: 'identify'",
     "tests/commands/conftest.py: planning: 'predict_plan'",
     "tests/commands/conftest.py: planning: 'purpose_shortfall'",
-    "tests/commands/test_log.py: gate: 'judge'",
     "tests/commands/test_motors.py: SystemClock: 'now'",
     "tests/commands/test_motors.py: SystemClock: 'sleep_until'",
     "tests/commands/test_motors.py: parser: 'load_robot_model'",
