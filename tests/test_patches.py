@@ -33,7 +33,6 @@ LEFT = {
     "tests/damiao/test_floating.py: Floating: 'follow'",
     "tests/damiao/test_floating.py: holding: 'measure_drift'",
     "tests/estimate/test_bodies.py: bodies: '_by_cone'",
-    "tests/estimate/test_rows.py: rows_module: 'ARRAY_SIZE'",
     "tests/pipeline/test_comparison.py: comparison: 'judge'",
     "tests/pipeline/test_comparison.py: comparison: 'usable_fit'",
     "tests/pipeline/test_curved_models.py: f'robot_sysid.{module}.can_bend': lambda: False",

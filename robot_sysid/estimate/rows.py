@@ -83,11 +83,13 @@ class Rows:
         return self.recording.kept.get(key, make)[self.span]
 
 
-def row_chunks(recording: FilteredRecording, width: int) -> Iterator[Rows]:
+def row_chunks(
+    recording: FilteredRecording, width: int, array_size: int = ARRAY_SIZE
+) -> Iterator[Rows]:
     """Yield the rows of a recording in chunks, of which columns ``width`` numbers wide fit in
-    memory.
+    memory: in an array of so many numbers.
     """
-    size = max(1, ARRAY_SIZE // max(width, 1))
+    size = max(1, array_size // max(width, 1))
     for start in range(0, len(recording), size):
         yield Rows(recording, slice(start, min(start + size, len(recording))))
 

@@ -39,6 +39,7 @@ from robot_sysid.dynamics.friction import (
     top_speeds,
 )
 from robot_sysid.dynamics.inverse_dynamics import (
+    ARRAY_SIZE,
     BeyondRigidBodies,
     gravity_vector,
     link_names,
@@ -382,6 +383,7 @@ class ArmTerms:
         logs: Sequence[str],
         point: Point,
         with_triangles: bool = False,
+        array_size: int = ARRAY_SIZE,
     ) -> Sums:
         """Return the sums of all rows; columns that are nothing but rounding are zero.
 
@@ -391,6 +393,8 @@ class ArmTerms:
             point: around which terms are linearised.
             with_triangles: whether to keep triangles beside the products, of rows that are all
                 used.
+            array_size: of the equations of a chunk [numbers], which bounds memory and changes no
+                result.
 
         Raises:
             InputError: no row can be used.
@@ -401,7 +405,7 @@ class ArmTerms:
         joint_sums = [JointSums(len(logs), size) for _ in joints]
         triangles = np.zeros((len(joints), size, size)) if with_triangles else None
         for recording, blocks in recordings:
-            for chunk in row_chunks(recording, size * len(joints)):
+            for chunk in row_chunks(recording, size * len(joints), array_size):
                 rows, used = self.equations(chunk, point)
                 for joint, sums in enumerate(joint_sums):
                     block = np.where(used[:, joint], blocks[chunk.span], -1)
