@@ -35,7 +35,6 @@ LEFT = {
     "tests/pipeline/test_comparison.py: comparison: 'judge'",
     "tests/pipeline/test_comparison.py: comparison: 'usable_fit'",
     "tests/pipeline/test_curved_models.py: f'robot_sysid.{module}.can_bend': lambda: False",
-    "tests/pipeline/test_payload.py: recordings: 'judge'",
     "tests/pipeline/test_planning.py: planning: 'predict_plan'",
     "tests/pipeline/test_planning.py: starts: 'contact_on_the_way'",
     "tests/test_cli.py: 'robot_sysid.pipeline.stages.identify_parameters': heavier",
