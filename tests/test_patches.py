@@ -32,8 +32,6 @@ LEFT = {
     "tests/damiao/test_floating.py: Console: 'stage'",
     "tests/damiao/test_floating.py: Floating: 'follow'",
     "tests/damiao/test_floating.py: holding: 'measure_drift'",
-    "tests/pipeline/test_comparison.py: comparison: 'judge'",
-    "tests/pipeline/test_comparison.py: comparison: 'usable_fit'",
     "tests/pipeline/test_curved_models.py: f'robot_sysid.{module}.can_bend': lambda: False",
     "tests/pipeline/test_planning.py: planning: 'predict_plan'",
     "tests/pipeline/test_planning.py: starts: 'contact_on_the_way'",

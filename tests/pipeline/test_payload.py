@@ -95,9 +95,7 @@ def test_logs_are_judged_together_with_the_options_of_the_run(robot, tmp_path):
         "empty": (str(empty),),
         "loaded": (str(loaded),),
     }
-    np.testing.assert_allclose(
-        result.payload.covariance, of_run.covariance, rtol=1e-9
-    )
+    np.testing.assert_allclose(result.payload.covariance, of_run.covariance, rtol=1e-9)
     assert np.all(of_run.covariance != as_usual.covariance)
 
 
