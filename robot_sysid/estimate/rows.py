@@ -265,7 +265,7 @@ def block_numbers(
     """
     lengths = [len(recording) for recording in recordings]
     log_of_row = np.repeat([recording.name for recording in recordings], lengths)
-    is_used = np.concatenate([np.any(log.used, axis=1) for log in recordings])
+    is_used = np.concatenate([np.any(log.is_used, axis=1) for log in recordings])
     names = list(dict.fromkeys(recording.name for recording in recordings))
     per_log = max(3, round(BLOCKS / len(names))) if in_blocks else 1
     blocks = np.zeros(len(is_used), dtype=np.int64)

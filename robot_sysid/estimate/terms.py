@@ -406,9 +406,9 @@ class ArmTerms:
         triangles = np.zeros((len(joints), size, size)) if with_triangles else None
         for recording, blocks in recordings:
             for chunk in row_chunks(recording, size * len(joints), array_size):
-                rows, used = self.equations(chunk, point)
+                rows, is_used = self.equations(chunk, point)
                 for joint, sums in enumerate(joint_sums):
-                    block = np.where(used[:, joint], blocks[chunk.span], -1)
+                    block = np.where(is_used[:, joint], blocks[chunk.span], -1)
                     sums.add(rows[:, joint], block)
                 if triangles is not None:
                     stacked = np.concatenate(
@@ -434,7 +434,7 @@ class ArmTerms:
         )
 
     def equations(self, rows: Rows, point: Point) -> tuple[Array, Mask]:
-        """Return (rows [A b] (m, J, p + 1), used (m, J)) of a chunk."""
+        """Return (rows [A b] (m, J, p + 1), whether each is used (m, J)) of a chunk."""
         columns = [term.columns(rows, point) for term in self.terms.values()]
         tau = self.measured_torque(rows)
         others = (tau - self.known(rows))[:, :, None]
@@ -443,7 +443,7 @@ class ArmTerms:
     def measured_torque(self, rows: Rows) -> Array:
         """Return the measured torque (m, J) of a chunk of rows [N m]; NaN where not used."""
         tau = rows.recording.torque[rows.span]
-        return np.where(rows.recording.used[rows.span], tau, np.nan)[:, self.indices]
+        return np.where(rows.recording.is_used[rows.span], tau, np.nan)[:, self.indices]
 
     def torque(self, rows: Rows, point: Point, values: Mapping[str, float]) -> Array:
         """Return the torque (m, J) of named parameters, the known torque added [N m]."""

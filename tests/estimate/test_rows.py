@@ -29,7 +29,7 @@ def logs_of(seed, counts=(30, 20), name="log"):
     for k, count in enumerate(counts):
         motion = wide_motion([seed, k], 4, count / 50.0)
         recording = arm.recording(motion, k > 0, name=f"{name}{k}")
-        recording.__dict__["used"] = rng.random(motion.q.shape) < 0.8
+        recording = recording.using(rng.random(motion.q.shape) < 0.8)
         recordings.append(recording)
     return recordings
 
@@ -39,8 +39,8 @@ def test_a_joint_without_torque_has_no_equations():
     recording = arm.recording(wide_motion([0], 4, 1.0), False)
     no_motor = recording.tau * [1.0, 0.0, 1.0, 1.0]
     silent = replace(recording, tau=no_motor)
-    assert np.any(recording.used, axis=0).tolist() == [True] * 4
-    assert np.any(silent.used, axis=0).tolist() == [True, False, True, True]
+    assert np.any(recording.is_used, axis=0).tolist() == [True] * 4
+    assert np.any(silent.is_used, axis=0).tolist() == [True, False, True, True]
 
 
 def dense_rows(recordings, joint):
@@ -50,15 +50,15 @@ def dense_rows(recordings, joint):
         (rows,) = row_chunks(recording, 1)
         columns = [term.columns(rows, POINT)[:, joint] for term in ARM.terms.values()]
         tau = recording.torque[:, joint] - ARM.known(rows)[:, joint]
-        found.append(np.column_stack((*columns, tau))[recording.used[:, joint]])
+        found.append(np.column_stack((*columns, tau))[recording.is_used[:, joint]])
     return np.concatenate(found)
 
 
 def successive_products(recordings, joint):
     """Return the products of successive rows [A b] of a joint that lie in one block."""
     numbers, _ = block_numbers(recordings)
-    used = [recording.used[:, joint] for recording in recordings]
-    blocks = np.concatenate([own[rows] for own, rows in zip(numbers, used)])
+    is_used = [recording.is_used[:, joint] for recording in recordings]
+    blocks = np.concatenate([own[rows] for own, rows in zip(numbers, is_used)])
     rows = dense_rows(recordings, joint)
     is_next = blocks[1:] == blocks[:-1]
     products = rows[:-1][is_next].T @ rows[1:][is_next]
@@ -73,7 +73,7 @@ def test_sums_are_those_of_all_rows_in_use(seed):
     """
     recordings = logs_of(seed)
     for recording in recordings:
-        recording.torque[~recording.used] = np.nan
+        recording.torque[~recording.is_used] = np.nan
     sums = ARM.sums(recordings, POINT)
     values = np.random.default_rng(seed).normal(size=len(sums.names))
     expected = 0.0
@@ -137,7 +137,7 @@ def test_blocks_are_equal_stretches_of_one_log_that_add_up(seed, n_logs):
         of_log = []
         for recording, blocks in zip(recordings, numbers):
             if recording.name == name:
-                of_log.append(blocks[np.any(recording.used, axis=1)])
+                of_log.append(blocks[np.any(recording.is_used, axis=1)])
         joined = np.concatenate(of_log)
         assert np.all(np.diff(joined) >= 0)
         sizes = np.unique(joined, return_counts=True)[1]
@@ -146,13 +146,13 @@ def test_blocks_are_equal_stretches_of_one_log_that_add_up(seed, n_logs):
 
 def test_rows_that_are_cut_out_do_not_count_and_those_of_others_stay():
     recording, other = logs_of(2)
-    before = recording.used.copy()
+    before = recording.is_used.copy()
     time = recording.motion.time
     inside = ((time >= 0.1) & (time <= 0.2)) | (time >= 0.5)
     cut = recording.only(~inside)
-    assert_array_equal(cut.used, before & ~inside[:, None])
-    assert_array_equal(recording.only(~before).used, False & before)
-    assert_array_equal(recording.used, before)
+    assert_array_equal(cut.is_used, before & ~inside[:, None])
+    assert_array_equal(recording.only(~before).is_used, False & before)
+    assert_array_equal(recording.is_used, before)
     cut.torque[inside] = 1e9
     sums = ARM.sums([cut, other], POINT)
     assert np.all(sums.rms_torque < 1e9)
