@@ -28,6 +28,7 @@ from robot_sysid.logs.table import (
     Chunk,
     LogTable,
     as_input_errors,
+    beginning,
     chunk_blocks,
     import_optional,
     make_table,
@@ -153,7 +154,7 @@ def parquet_table(path: Path, *_: Any) -> LogTable:
     schema = metadata.schema.to_arrow_schema()
     names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
     read = partial(_read_parquet, [path], names)
-    first_rows = next(read(), ())
+    first_rows = beginning(read())
     blocks = partial(chunk_blocks, partial(_chunks_in_seconds, read), metadata.num_rows)
     return arrays_table(path, "Parquet", dict(zip(names, first_rows)), blocks)
 

@@ -88,6 +88,21 @@ def chunk_blocks(
             yield Block(lines, cells[:, list(columns)], "", count / n_rows)
 
 
+def beginning(chunks: Iterable[Chunk]) -> Chunk:
+    """Return the first ``ROWS`` rows of chunks, or all: they show which arrays are columns.
+
+    A file may be cut to chunks of any size, of which one alone, of a single row, shows nothing.
+    """
+    first: list[Chunk] = []
+    count = 0
+    for chunk in chunks:
+        first.append(chunk)
+        count += min(map(len, chunk), default=ROWS)
+        if count >= ROWS:
+            break
+    return [np.concatenate(parts) for parts in zip(*first)]
+
+
 def array_blocks(arrays: Chunk, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
     edges = range(0, len(arrays[0]), ROWS)
