@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, check_arrays
-from robot_sysid.records.option_fields import TrajectoryOptions
+from robot_sysid.records.option_fields import TOP_FREQUENCY_HZ, TrajectoryOptions
 
 POSITION_MARGIN = 0.02
 """Share of the range kept free at each position limit."""
@@ -36,7 +36,7 @@ TERMINAL_SHARE = 0.7
 """Share of its range that a random trajectory uses of the terminal joint."""
 OTHER_SHARE = 0.1
 """Share of its range that a random trajectory uses of another joint."""
-BAND_HZ = (0.1, 0.6)
+BAND_HZ = (0.1, TOP_FREQUENCY_HZ)
 """Lowest and highest frequency of random sinusoids [Hz]."""
 MOST_SINUSOIDS = 5
 """Largest number of random sinusoids of a joint."""

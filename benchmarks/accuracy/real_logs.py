@@ -221,7 +221,7 @@ def file_torque(model, robot, motion):
 
 def relative(test, torque) -> float:
     """Return norm(measured - predicted) / norm(measured) of torques (K, n), all joints stacked."""
-    measured = np.where(test.used, test.low_pass.decimate(test.tau), np.nan)
+    measured = np.where(test.is_used, test.low_pass.decimate(test.tau), np.nan)
     off = measured - torque
     off -= np.nanmean(off, axis=0)
     return float(np.sqrt(np.nansum(off**2) / np.nansum(measured**2)))
@@ -282,7 +282,7 @@ class LeastSquares:
 
     def rows(self, signals, is_loaded: bool):
         """Return the matrix and torques of the samples that may be used."""
-        use = signals.used
+        use = signals.is_used
         return self.columns(signals, is_loaded)[use], signals.low_pass.decimate(
             signals.tau
         )[use]

@@ -535,7 +535,7 @@ def errors_on(
     """
     off, torque, payload, constants = [], [], [], []
     for piece in pieces:
-        use = piece.used
+        use = piece.is_used
         predicted = piece.filter_columns(partial(file_torque, model, robot))
         columns = piece.filter_columns(partial(flange_columns, robot))
         off.append((piece.torque - predicted)[use])
@@ -574,7 +574,7 @@ def promised_on(
     fitted, _ = usable_fit(diagnose(robot, [log], question, Progress()), (), Progress())
     held = fit_file(fitted).by_name
     terms = fitted.arm.of(t for t in fitted.arm.terms.values() if t.cause != DELAY)
-    unknown = [piece.using(piece.used, tau=0.0 * piece.tau) for piece in pieces]
+    unknown = [piece.using(piece.is_used, tau=0.0 * piece.tau) for piece in pieces]
     sums = terms.sums(unknown, fitted.point, in_blocks=False)
     known = knowledge_of(fitted, sums)
     offsets = np.isin(sums.names, [OFFSET.key_of(joint) for joint in sums.joints])

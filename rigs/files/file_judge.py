@@ -21,7 +21,7 @@ def torque_error(mj_model, robot, signals):
         return rigid + friction.torque(motion.qd)
 
     tau = signals.low_pass.decimate(signals.tau)
-    usable = signals.used
+    usable = signals.is_used
     residual = np.where(usable, tau - signals.filter_columns(torque), 0.0)
     offset = np.sum(residual, axis=0) / np.count_nonzero(usable, axis=0)
     residual = np.where(usable, residual - offset, 0.0)

@@ -102,7 +102,7 @@ def part_of_rows(fitted: Fit, count: int) -> tuple[tuple[FilteredRecording, ...]
     """Return recordings of a fit with about ``count`` rows in all, each one of so many."""
     every = max(1, sum(map(len, fitted.recordings)) // count)
     recordings = (
-        recording.using(recording.used[::every], every=every)
+        recording.using(recording.is_used[::every], every=every)
         for recording in fitted.recordings
     )
     return tuple(recordings), every

@@ -73,7 +73,7 @@ class Reading:
         dry = rows.low_passed("coulomb", lambda motion: np.sign(motion.qd))
         # A joint's rows are those in which it moves.
         return recording.using(
-            recording.used @ (position != 0.0),
+            recording.is_used @ (position != 0.0),
             q=recording.q @ position + self.zeros,
             qd=recording.qd @ position,
             qdd=recording.qdd @ position,

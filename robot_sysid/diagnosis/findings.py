@@ -29,7 +29,7 @@ from robot_sysid.diagnosis.plausibility import (
     is_plausible,
     is_sibling,
 )
-from robot_sysid.diagnosis.scales import odd_unit, scale_corrections
+from robot_sysid.diagnosis.scales import ScaleCorrections, odd_unit
 from robot_sysid.diagnosis.scores import Score
 from robot_sysid.diagnosis.search import Search, name_faults, search_faults
 from robot_sysid.estimate.contacts import LITTLE
@@ -79,7 +79,8 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if found:
         return found[:1], fitted
     is_experiment = is_of_single_joints(fitted)
-    search = search_faults(Correction((), 0.0, fitted), evidence)
+    scales = ScaleCorrections(fitted, evidence)
+    search = search_faults(Correction((), 0.0, fitted), evidence, scales)
     # Links that may be off hide much of a direction that was stated the wrong way round.
     is_fitting = (
         fits(fitted)
@@ -90,7 +91,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     # motors, and a sign or an order would pass for what has happened to it.
     is_of_model = fitted.question.differing is not None
     if not (is_experiment or is_fitting or is_of_model):
-        search = search_or_corrected(fitted, search, evidence)
+        search = search_or_corrected(search, evidence, scales)
     right = search.start.fit
     named = [*search.start.findings]
     is_corrected = any(each.about in MISTAKES for each in named)
@@ -109,7 +110,9 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if is_experiment:
         return [each for each in named if each.about not in OF_LINKS], right
     if all(finding.level is Level.SAYS for finding in named):
-        named += model_findings(right, search, evidence)
+        if right is not fitted:
+            scales = ScaleCorrections(right, evidence)
+        named += model_findings(search, scales)
     return named, right
 
 
@@ -120,24 +123,27 @@ def is_like_gravity(score: Score) -> bool:
     return is_of_arm and is_harmful and score.name in LIKE_GRAVITY
 
 
-def search_or_corrected(fitted: Fit, search: Search, evidence: Evidence) -> Search:
+def search_or_corrected(
+    search: Search, evidence: Evidence, scales: ScaleCorrections
+) -> Search:
     """Return a search in a log, or the one in its likeliest correction if that explains more.
 
-    Gains are compared, so that corrections are of the log as it was recorded (``fitted``), also
-    where the search itself has corrected its torque scales.
+    Gains are compared, so that corrections are of the log as it was recorded, which ``scales`` has,
+    also where the search itself has corrected its torque scales.
     """
-    best = sorted(corrections(fitted, evidence), key=lambda each: -each.gain)
+    best = sorted(corrections(evidence, scales), key=lambda each: -each.gain)
     # Whatever explains torques in another unit, they are not right as they are.
-    is_unit = is_foreign(fitted)
-    searches = [*(search_faults(each, evidence) for each in best[:1]), search]
+    is_unit = is_foreign(scales.fitted)
+    searches = [search_faults(each, evidence, scales) for each in best[:1]]
+    searches.append(search)
     return max(searches, key=lambda each: (each.explains, is_unit or each.gain))
 
 
-def corrections(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+def corrections(evidence: Evidence, scales: ScaleCorrections) -> Iterator[Correction]:
     """Yield corrections of a log that leave clearly less, in an arm that may exist."""
+    fitted = scales.fitted
     before = fitted.unexplained_share
-    makers = scale_corrections, column_correction
-    for tried in chain.from_iterable(make(fitted, evidence) for make in makers):
+    for tried in chain(scales.each(), column_correction(fitted, evidence)):
         after = tried.fit.unexplained_share
         is_less = after < CLEARLY_LESS * before or after < LITTLE < before
         is_turned_back = drives(fitted) and not drives(tried.fit)

@@ -24,7 +24,7 @@ from robot_sysid.diagnosis.plausibility import (
     typical_ratio,
     typical_torque,
 )
-from robot_sysid.diagnosis.scales import common_correction, torque_scales
+from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
 from robot_sysid.diagnosis.scores import EXACT
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.dynamics.friction import COULOMB
@@ -71,24 +71,20 @@ def weighed_time(fitted: Fit) -> float:
     return TIME * float(Offers(fitted).weigh(clock.effect).values[0])
 
 
-def model_findings(
-    fitted: Fit, search: Search, evidence: Evidence
-) -> Iterator[Finding]:
+def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding]:
     """Yield what is wrong as a whole, where no fault is named that forbids an estimate.
 
     Args:
-        fitted: the fit of the log.
-        search: what was found in it.
-        evidence: what is known beside its rows.
+        search: what was found in the log.
+        scales: torque scales of the log that was searched.
     """
+    fitted = scales.fitted
     robot = fitted.arm.robot
     current = search.current
-    torques = torque_scales(fitted)
     # A fault that was found may explain them.
-    is_odd = torques.is_odd and torque_scales(current, search.effects).is_odd
-    scaled = common_correction(fitted, torques, evidence) if is_odd else None
-    if scaled is not None and scaled.fit.unexplained_share < UNEXPLAINED:
-        yield from scaled.findings
+    is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
+    if is_odd and scales.common.fit.unexplained_share < UNEXPLAINED:
+        yield from scales.common.findings
     elif not is_plausible(current):
         yield Finding(
             # What an empty log has wrong as well does not matter to a payload.
@@ -100,13 +96,13 @@ def model_findings(
             f"{RIGHT_MODEL}, and its base mounted as the model says",
         )
     elif is_sibling(fitted):
-        scales = fitted.question.link_scales
+        off = fitted.question.link_scales
         share = PER_CENT * fitted.question.options.priors.link
         yield Finding(
             Level.SAYS,
             FaultName.MODEL,
-            f"the links differ from the model by {percent(scales.mass * share)} of their masses, "
-            f"and by {percent(scales.centre_of_mass * share)} of their size in their centres of "
+            f"the links differ from the model by {percent(off.mass * share)} of their masses, "
+            f"and by {percent(off.centre_of_mass * share)} of their size in their centres of "
             "mass: it may be the model of a sibling of this arm; the standard errors of links "
             "before the last may be too small",
             RIGHT_MODEL,

@@ -148,8 +148,8 @@ def is_of_single_joints(fitted: Fit) -> bool:
 
     Such an experiment hardly shows links, nor what is wrong with their torques as a whole.
     """
-    used = np.concatenate([recording.used for recording in fitted.recordings])
-    counts = np.sum(used[:, fitted.arm.indices], axis=1)
+    is_used = np.concatenate([recording.is_used for recording in fitted.recordings])
+    counts = np.sum(is_used[:, fitted.arm.indices], axis=1)
     if not np.any(counts):
         return False
     return bool(np.mean(counts[counts > 0]) < MOST_AT_ONCE)

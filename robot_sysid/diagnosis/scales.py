@@ -242,39 +242,54 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     return TorqueScales(scale, relative, is_loaded, coarse)
 
 
-def scale_corrections(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
-    """Yield the corrections of torques by one scale of all joints, and by one of each joint."""
-    scales = torque_scales(fitted)
-    if scales.is_odd:
-        yield common_correction(fitted, scales, evidence)
-    yield from own_corrections(fitted, scales, evidence)
+class ScaleCorrections:
+    """The torque scales of a log, and what they put right; each is made once, when it is asked for.
 
+    Args:
+        fitted: the fit of the log.
+        evidence: what is known beside its rows.
+    """
 
-def common_correction(
-    fitted: Fit, scales: TorqueScales, evidence: Evidence
-) -> Correction:
-    """Return the correction of torques by one scale, which masses that are off make as well."""
-    factor, error = scales.common
-    factors = np.full(len(scales.values), 1.0 / factor)
-    after = refit(fitted, torque_reading(fitted.arm, factors))
-    finding = common_finding(fitted.arm.robot, factor, error, evidence)
-    return Correction((finding,), gain_between(fitted, after, factors), after)
+    def __init__(self, fitted: Fit, evidence: Evidence) -> None:
+        self.fitted = fitted
+        self.evidence = evidence
 
+    @cached_property
+    def scales(self) -> TorqueScales:
+        """How many times the model's the torques are."""
+        return torque_scales(self.fitted)
 
-def own_corrections(
-    fitted: Fit, scales: TorqueScales, evidence: Evidence
-) -> Iterator[Correction]:
-    """Yield the correction of torques by scales of one per joint, where joints have such."""
-    if not (scales.are_of_links and scales.differ):
-        return
-    values = scales.known_values
-    after = refit(fitted, torque_reading(fitted.arm, 1.0 / values))
-    # Loss for scales that fit the data instead of being one: the prior's volume over that left.
-    penalty = np.sum(np.log(SPREAD / scales.own_errors))
-    sure = np.flatnonzero(scales.are_sure)
-    finding = own_finding(fitted, values, sure, evidence)
-    gain = gain_between(fitted, after, 1.0 / np.abs(values)) - penalty
-    yield Correction((finding,), float(gain), after)
+    @cached_property
+    def common(self) -> Correction:
+        """The correction of torques by one scale, which masses that are off make as well."""
+        fitted = self.fitted
+        factor, error = self.scales.common
+        factors = np.full(len(self.scales.values), 1.0 / factor)
+        after = refit(fitted, torque_reading(fitted.arm, factors))
+        finding = common_finding(fitted.arm.robot, factor, error, self.evidence)
+        return Correction((finding,), gain_between(fitted, after, factors), after)
+
+    @cached_property
+    def own(self) -> Correction | None:
+        """The correction of torques by scales of one per joint; None where joints have no such."""
+        fitted, scales = self.fitted, self.scales
+        if not (scales.are_of_links and scales.differ):
+            return None
+        values = scales.known_values
+        after = refit(fitted, torque_reading(fitted.arm, 1.0 / values))
+        # Loss for scales that fit the data instead of being one: the prior's volume over that left.
+        penalty = np.sum(np.log(SPREAD / scales.own_errors))
+        sure = np.flatnonzero(scales.are_sure)
+        finding = own_finding(fitted, values, sure, self.evidence)
+        gain = gain_between(fitted, after, 1.0 / np.abs(values)) - penalty
+        return Correction((finding,), float(gain), after)
+
+    def each(self) -> Iterator[Correction]:
+        """Yield the corrections by one scale of all joints, where it is odd, and by one of each."""
+        if self.scales.is_odd:
+            yield self.common
+        if self.own is not None:
+            yield self.own
 
 
 def torque_scale(scales: Array) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import Correction, Evidence
 from robot_sysid.diagnosis.plausibility import is_plausible
-from robot_sysid.diagnosis.scales import own_corrections, torque_scales
+from robot_sysid.diagnosis.scales import ScaleCorrections
 from robot_sysid.diagnosis.scores import Score, asked_names, candidates, fit_with
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect
@@ -84,12 +84,15 @@ class Search:
         return replace(self, current=current, rounds=(*self.rounds, ties), least=least)
 
 
-def search_faults(start: Correction, evidence: Evidence) -> Search:
+def search_faults(
+    start: Correction, evidence: Evidence, scales: ScaleCorrections
+) -> Search:
     """Return what is found in a log, fault after fault, as long as one explains.
 
     Args:
         start: the log as it was corrected, as in ``Search``.
         evidence: what is known beside its rows.
+        scales: torque scales of the log as it was recorded.
     """
     found = Search.of(start)
     errors = start.fit.errors[start.fit.at(asked_names(start.fit))]
@@ -100,10 +103,10 @@ def search_faults(start: Correction, evidence: Evidence) -> Search:
         if any(each.about in OF_SCALES for each in found.start.findings):
             # Joints whose scales no torque shows keep their share of the others'.
             offered = [score for score in offered if score.name not in OF_SCALES]
-        scales = scales_beyond(offered, found, evidence)
+        correction = scales_beyond(offered, found, scales)
         ties = equally_likely(offered)
-        if scales is not None:
-            found = found.with_correction(scales)
+        if correction is not None:
+            found = found.with_correction(correction)
         elif ties:
             found = found.with_winner(ties)
         else:
@@ -124,7 +127,7 @@ def equally_likely(offered: Sequence[Score]) -> tuple[Score, ...]:
 
 
 def scales_beyond(
-    offered: Sequence[Score], found: Search, evidence: Evidence
+    offered: Sequence[Score], found: Search, scales: ScaleCorrections
 ) -> Correction | None:
     """Return torque scales of all joints, where they explain more than the one that is likeliest.
 
@@ -135,11 +138,10 @@ def scales_beyond(
     likeliest = offered[0]
     if likeliest.gain < CLEAR or likeliest.name not in OF_SCALES:
         return None
-    scales = torque_scales(found.current)
-    for each in own_corrections(found.current, scales, evidence):
-        if each.gain > likeliest.gain + TIE and is_plausible(each.fit):
-            return each
-    return None
+    own = scales.own
+    if own is None or not is_plausible(own.fit):
+        return None
+    return own if own.gain > likeliest.gain + TIE else None
 
 
 def name_faults(rounds: Sequence[Sequence[Score]]) -> Iterator[Finding]:

@@ -210,8 +210,8 @@ def with_links_of(fitted: Fit, torque: Array) -> Fit:
 
 def speeds_in(recordings: Sequence[FilteredRecording]) -> Array:
     """Return the velocities (K of all recordings, n) of rows that any joint uses."""
-    used = (each.motion.qd[np.any(each.used, axis=1)] for each in recordings)
-    return np.concatenate([*used])
+    speeds = (each.motion.qd[np.any(each.is_used, axis=1)] for each in recordings)
+    return np.concatenate([*speeds])
 
 
 def fastest_of(speeds: Array, ratios: Array) -> Array:

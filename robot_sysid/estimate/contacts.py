@@ -58,8 +58,8 @@ def without_contacts(fitted: Fit) -> Fit:
     or too long to be left out.
     """
     judged = replace(fitted, recordings=tuple(without_turns(fitted)))
-    used = np.concatenate([recording.used for recording in judged.recordings])
-    residuals = np.where(used[:, fitted.arm.indices], fitted.residuals, np.nan)
+    is_used = np.concatenate([recording.is_used for recording in judged.recordings])
+    residuals = np.where(is_used[:, fitted.arm.indices], fitted.residuals, np.nan)
     if fitted.unexplained_share > LITTLE:
         # A long push makes all residuals large.
         residuals = replace(judged, values=without_worst_blocks(fitted)).residuals
@@ -97,12 +97,12 @@ def without_turns(fitted: Fit) -> list[FilteredRecording]:
     """
     recordings = []
     for recording, own in zip(fitted.recordings, fitted.split(fitted.residuals)):
-        used = recording.used.copy()
+        is_used = recording.is_used.copy()
         zones = [recording.at_turns(travel) for travel in TURN_TRAVELS]
         for row, joint in enumerate(fitted.arm.indices.tolist()):
             near = [zone[:, joint] for zone in zones]
-            used[:, joint] &= ~contradicted_zone(near, own[:, row])
-        recordings.append(recording.only(used))
+            is_used[:, joint] &= ~contradicted_zone(near, own[:, row])
+        recordings.append(recording.only(is_used))
     return recordings
 
 
@@ -182,10 +182,10 @@ def mean_sizes(fitted: Fit, sizes: Array) -> Array:
     for recording, own in zip(fitted.recordings, fitted.split(sizes)):
         width = max(1, round(WINDOW * recording.rate / recording.low_pass.step))
         window = np.ones(min(width, len(own))) / width
-        used = recording.used[:, fitted.arm.indices].astype(float)
+        is_used = recording.is_used[:, fitted.arm.indices].astype(float)
         totals, shares = (
             np.stack([np.convolve(column, window, "same") for column in each.T], axis=1)
-            for each in (own, used)
+            for each in (own, is_used)
         )
         means.append(np.abs(totals) / np.maximum(shares, LEAST_USED))
     return np.concatenate(means)

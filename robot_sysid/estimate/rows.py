@@ -83,11 +83,13 @@ class Rows:
         return self.recording.kept.get(key, make)[self.span]
 
 
-def row_chunks(recording: FilteredRecording, width: int) -> Iterator[Rows]:
+def row_chunks(
+    recording: FilteredRecording, width: int, array_size: int = ARRAY_SIZE
+) -> Iterator[Rows]:
     """Yield the rows of a recording in chunks, of which columns ``width`` numbers wide fit in
-    memory.
+    memory: in an array of so many numbers.
     """
-    size = max(1, ARRAY_SIZE // max(width, 1))
+    size = max(1, array_size // max(width, 1))
     for start in range(0, len(recording), size):
         yield Rows(recording, slice(start, min(start + size, len(recording))))
 
@@ -263,7 +265,7 @@ def block_numbers(
     """
     lengths = [len(recording) for recording in recordings]
     log_of_row = np.repeat([recording.name for recording in recordings], lengths)
-    is_used = np.concatenate([np.any(log.used, axis=1) for log in recordings])
+    is_used = np.concatenate([np.any(log.is_used, axis=1) for log in recordings])
     names = list(dict.fromkeys(recording.name for recording in recordings))
     per_log = max(3, round(BLOCKS / len(names))) if in_blocks else 1
     blocks = np.zeros(len(is_used), dtype=np.int64)

@@ -39,6 +39,7 @@ from robot_sysid.dynamics.friction import (
     top_speeds,
 )
 from robot_sysid.dynamics.inverse_dynamics import (
+    ARRAY_SIZE,
     BeyondRigidBodies,
     gravity_vector,
     link_names,
@@ -382,6 +383,7 @@ class ArmTerms:
         logs: Sequence[str],
         point: Point,
         with_triangles: bool = False,
+        array_size: int = ARRAY_SIZE,
     ) -> Sums:
         """Return the sums of all rows; columns that are nothing but rounding are zero.
 
@@ -391,6 +393,8 @@ class ArmTerms:
             point: around which terms are linearised.
             with_triangles: whether to keep triangles beside the products, of rows that are all
                 used.
+            array_size: of the equations of a chunk [numbers], which bounds memory and changes no
+                result.
 
         Raises:
             InputError: no row can be used.
@@ -401,10 +405,10 @@ class ArmTerms:
         joint_sums = [JointSums(len(logs), size) for _ in joints]
         triangles = np.zeros((len(joints), size, size)) if with_triangles else None
         for recording, blocks in recordings:
-            for chunk in row_chunks(recording, size * len(joints)):
-                rows, used = self.equations(chunk, point)
+            for chunk in row_chunks(recording, size * len(joints), array_size):
+                rows, is_used = self.equations(chunk, point)
                 for joint, sums in enumerate(joint_sums):
-                    block = np.where(used[:, joint], blocks[chunk.span], -1)
+                    block = np.where(is_used[:, joint], blocks[chunk.span], -1)
                     sums.add(rows[:, joint], block)
                 if triangles is not None:
                     stacked = np.concatenate(
@@ -430,7 +434,7 @@ class ArmTerms:
         )
 
     def equations(self, rows: Rows, point: Point) -> tuple[Array, Mask]:
-        """Return (rows [A b] (m, J, p + 1), used (m, J)) of a chunk."""
+        """Return (rows [A b] (m, J, p + 1), whether each is used (m, J)) of a chunk."""
         columns = [term.columns(rows, point) for term in self.terms.values()]
         tau = self.measured_torque(rows)
         others = (tau - self.known(rows))[:, :, None]
@@ -439,7 +443,7 @@ class ArmTerms:
     def measured_torque(self, rows: Rows) -> Array:
         """Return the measured torque (m, J) of a chunk of rows [N m]; NaN where not used."""
         tau = rows.recording.torque[rows.span]
-        return np.where(rows.recording.used[rows.span], tau, np.nan)[:, self.indices]
+        return np.where(rows.recording.is_used[rows.span], tau, np.nan)[:, self.indices]
 
     def torque(self, rows: Rows, point: Point, values: Mapping[str, float]) -> Array:
         """Return the torque (m, J) of named parameters, the known torque added [N m]."""

@@ -10,7 +10,7 @@ import re
 import statistics
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
@@ -28,6 +28,7 @@ from robot_sysid.logs.table import (
     Chunk,
     LogTable,
     as_input_errors,
+    beginning,
     chunk_blocks,
     import_optional,
     make_table,
@@ -36,7 +37,7 @@ from robot_sysid.logs.table import (
 from robot_sysid.logs.text import is_names
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
-from robot_sysid.records.data import RECORDING_SEPARATION
+from robot_sysid.records.data import shift_behind
 from robot_sysid.records.file_access import read_json
 
 # Name of an array of the names of joints.
@@ -63,12 +64,17 @@ def arrays_table(
     columns = {}
     names_of: dict[int, list[str]] = {}
     left_out = []
+    starts = {}
     for name, values in arrays.items():
+        short_name = name.rpartition("/")[2]
+        title = short_name if uses[short_name] == 1 else name
         if isinstance(values, np.ndarray) and values.size:
-            values = _in_seconds(values, values.flat[0])
+            start = values.flat[0]
+            if values.dtype.kind == "M" and not np.isnat(start):
+                starts[title] = int(start.astype("M8[ns]").astype(np.int64))
+            values = _in_seconds(values, start)
         if can_be_column(values):
-            short_name = name.rpartition("/")[2]
-            columns[short_name if uses[short_name] == 1 else name] = values
+            columns[title] = values
             continue
         elements: Any = getattr(values, "tolist", list)()
         if _JOINT_NAMES.search(name) and is_names(elements):
@@ -91,7 +97,9 @@ def arrays_table(
     unused = join_names(left_out)
     note = f"arrays that are no columns of numbers are not used: {unused}"
     notes = (note,) if left_out else ()
-    return make_table(path, layout, samples, names_of, blocks, choices, notes=notes)
+    return make_table(
+        path, layout, samples, names_of, blocks, choices, notes=notes, starts=starts
+    )
 
 
 def can_be_column(array: Any) -> bool:
@@ -146,25 +154,30 @@ def parquet_table(path: Path, *_: Any) -> LogTable:
     schema = metadata.schema.to_arrow_schema()
     names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
     read = partial(_read_parquet, [path], names)
-    first_rows = dict(zip(names, next(read(), ())))
-    blocks = partial(chunk_blocks, read, metadata.num_rows)
-    return arrays_table(path, "Parquet", first_rows, blocks)
+    first_rows = beginning(read())
+    blocks = partial(chunk_blocks, partial(_chunks_in_seconds, read), metadata.num_rows)
+    return arrays_table(path, "Parquet", dict(zip(names, first_rows)), blocks)
 
 
 def _read_parquet(files: Sequence[Path], columns: Sequence[str]) -> Iterator[Chunk]:
     """Yield columns of Parquet files, one after the other, in chunks of rows.
 
-    A column is (R,), dates as seconds from the first one, or (R, k) for lists. InputError where a
-    file cannot be read.
+    A column is (R,), or (R, k) for lists; dates are NumPy's. InputError where a file cannot be
+    read.
     """
     parquet = import_optional("pyarrow.parquet", "parquet")
-    starts: list[Any] = []
     for path in files:
         with as_input_errors(path, "a Parquet file"), parquet.ParquetFile(path) as file:
             for batch in file.iter_batches(ROWS, columns=list(columns)):
-                chunk = [_arrow_array(batch.column(name)) for name in columns]
-                starts = starts or [values[0] for values in chunk]
-                yield [*map(_in_seconds, chunk, starts)]
+                yield [_arrow_array(batch.column(name)) for name in columns]
+
+
+def _chunks_in_seconds(read: Callable[[], Iterable[Chunk]]) -> Iterator[Chunk]:
+    """Yield the chunks that a function reads, dates as seconds from the first of their column."""
+    starts: list[Any] = []
+    for chunk in read():
+        starts = starts or [values[0] for values in chunk]
+        yield [*map(_in_seconds, chunk, starts)]
 
 
 def _arrow_array(column: Any) -> Array:
@@ -245,8 +258,7 @@ def lerobot_table(path: Path, _: Sequence[str], options: LogOptions) -> LogTable
         rows = np.flatnonzero(episode_index == episode)
         if recordings:
             # An episode has a clock of its own.
-            end = time[recordings[-1][-1]]
-            time[rows] += end + RECORDING_SEPARATION - time[rows[0]]
+            time[rows] += shift_behind(time[recordings[-1][-1]], time[rows[0]])
         recordings.append(rows)
     # The numbers of a frame, its time included.
     width = sum(values[0].size for values in frames.values())

@@ -109,8 +109,11 @@ def _join(position: _Half, torque: _Half) -> LogTable:
     tau = torque.table.cells(tau_columns)
     how = "row by row"
     if q_time and tau_time:
-        # The times of both in the unit of the first.
-        tau[:, 0] *= torque.time[0].factor / position.time[0].factor
+        # The times of both in the unit of the first, and from one instant on.
+        own, other = position.time[0], torque.time[0]
+        tau[:, 0] *= other.factor / own.factor
+        later = torque.table.seconds_after(other.index, position.table, own.index)
+        tau[:, 0] += later / own.factor
         if len(q) != len(tau) or not _are_equal(q[:, 0], tau[:, 0]):
             q, tau, how = _interpolate(position.table, torque.table, q, tau)
         tau, tau_columns = tau[:, 1:], tau_columns[1:]
@@ -135,6 +138,7 @@ def _join(position: _Half, torque: _Half) -> LogTable:
         first_row=table.first_row and (*table.first_row, *[""] * len(tau_columns)),
         choices=table.choices.over(torque.table.choices),
         notes=(*table.notes, *torque.table.notes, note),
+        starts=table.starts,
     )
 
 

@@ -40,6 +40,7 @@ from robot_sysid.logs.ros_messages import (
 )
 from robot_sysid.logs.table import (
     LATER,
+    NANOSECOND,
     ROWS,
     Chunk,
     LogTable,
@@ -228,6 +229,7 @@ def _read_topic(
         blocks=partial(chunk_blocks, read, n_messages),
         row_noun="message",
         notes=notes,
+        starts={"time": start},
     )
     rank = ("position" in complete, has_torque, has_torque and is_powered)
     yield Topic(name, message_type, table, n_messages, rank)
@@ -252,7 +254,7 @@ def _read_chunks(
             for stamp, sample in chunk:
                 used = sample if sample.keys() >= arm_keys else {}
                 numbers = [used.get(key, np.nan) for key in keys]
-                rows.append([1e-9 * (stamp - start), *numbers])
+                rows.append([NANOSECOND * (stamp - start), *numbers])
             yield [np.array(rows)]
 
 

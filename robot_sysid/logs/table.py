@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.records import Array, ColumnMap
-from robot_sysid.records.data import RECORDING_SEPARATION
+from robot_sysid.records.data import shift_behind
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
@@ -33,6 +33,8 @@ ROWS = 10_000
 """Number of rows of a log that are read at a time from files that are not text."""
 LARGEST_NUMBER = 1e24
 """Larger numbers are faults of a file, even times of a clock of nanoseconds."""
+NANOSECOND = 1e-9
+"""[s]"""
 _SPARE_ROWS = 1.1
 """Memory over the rows that a file holds as far as is known: lines differ in length."""
 _NEARLY_ALL = 0.999
@@ -86,6 +88,21 @@ def chunk_blocks(
             yield Block(lines, cells[:, list(columns)], "", count / n_rows)
 
 
+def beginning(chunks: Iterable[Chunk]) -> Chunk:
+    """Return the first ``ROWS`` rows of chunks, or all: they show which arrays are columns.
+
+    A file may be cut to chunks of any size, of which one alone, of a single row, shows nothing.
+    """
+    first: list[Chunk] = []
+    count = 0
+    for chunk in chunks:
+        first.append(chunk)
+        count += min(map(len, chunk), default=ROWS)
+        if count >= ROWS:
+            break
+    return [np.concatenate(parts) for parts in zip(*first)]
+
+
 def array_blocks(arrays: Chunk, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
     edges = range(0, len(arrays[0]), ROWS)
@@ -106,6 +123,10 @@ class LogTable:
         row_noun: what a row is called in messages: "line", "message" or "row".
         first_row: the cells of the first row as text, where they may hold names; else empty.
         notes: sentences for the user on what was taken from the file.
+        starts: title of a column of dates to the first of them, from which its times count [ns
+            since 1970]: a float of seconds since 1970 would round them to half a microsecond.
+            Columns and files are aligned by them (``seconds_after``). Dates that lie among other
+            texts, as in JSON, count from 1970 themselves.
         form: what the file has to be, for the error where its rows cannot be read.
     """
 
@@ -117,6 +138,7 @@ class LogTable:
     row_noun: str = "row"
     first_row: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    starts: Mapping[str, int] = field(default_factory=dict)
     form: str = "a log"
 
     def __fspath__(self) -> str:
@@ -129,6 +151,17 @@ class LogTable:
         """Return lines (K,) for a sentence: "line 7 and 3 more"."""
         more = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
         return f"{self.row_noun} {lines[0]}{more}"
+
+    def seconds_after(self, column: int, other: LogTable, its_column: int) -> float:
+        """Return how much later the times of a column begin to count than those of another [s].
+
+        Zero where one of them has no dates: then both have one clock, as far as is known.
+        """
+        start = self.starts.get(self.titles[column])
+        its_start = other.starts.get(other.titles[its_column])
+        if start is None or its_start is None:
+            return 0.0
+        return NANOSECOND * (start - its_start)
 
     def rows(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield all rows with these columns; what their reader raises is an InputError.
@@ -168,6 +201,7 @@ def make_table(
     row_noun: str = "row",
     first_row: tuple[str, ...] = (),
     notes: tuple[str, ...] = (),
+    starts: Mapping[str, int] | None = None,
 ) -> LogTable:
     """Return named columns of numbers as a table, whatever form of file they are from.
 
@@ -179,7 +213,7 @@ def make_table(
         joint_names: number of columns of an array to the names of the joints that they are of.
         blocks: yields the rows, where ``columns`` do not hold all of them; their numbers then only
             show their shape, or are ``LATER``.
-        choices, row_noun, first_row, notes: see ``LogTable``.
+        choices, row_noun, first_row, notes, starts: see ``LogTable``.
     """
     titles: list[str] = []
     arrays = []
@@ -199,6 +233,7 @@ def make_table(
         row_noun,
         first_row,
         notes,
+        starts or {},
     )
 
 
@@ -264,6 +299,10 @@ def read_cells(
         np.multiply(numbers, column.factor, out=numbers, where=np.isfinite(numbers))
     if columns.time is None:
         cells[:, 1] = np.arange(count) / (columns.rate or 1.0)
+    else:
+        for number, column in enumerate(reversed(columns.joint_time), start=1):
+            later = table.seconds_after(column.index, table, columns.time.index)
+            cells[:, -number] += later
     return cells, complaint
 
 
@@ -290,7 +329,7 @@ def separate_recordings(table: LogTable, columns: ColumnMap, cells: Array) -> li
     starts = np.array(edges[1:])
     stamps = [1, *range(cells.shape[1] - len(columns.joint_time), cells.shape[1])]
     for before, start in zip(rows[starts - 1], rows[starts]):
-        cells[start:, stamps] += time[before] + RECORDING_SEPARATION - time[start]
+        cells[start:, stamps] += shift_behind(time[before], time[start])
     lines = cells[rows[starts], 0].astype(np.int64)
     return [
         f"time starts again at {table.cite(lines)}: {len(edges)} recordings are read, one after "

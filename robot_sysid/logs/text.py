@@ -59,6 +59,15 @@ class Dialect:
     first_row: tuple[str, ...]
     chunk_size: int = 1_000_000
 
+    @property
+    def starts(self) -> dict[str, int]:
+        """Title of each column of dates to the first of them, see ``LogTable``."""
+        return {
+            title: int(_date(cell).astype(np.int64))
+            for title, cell in zip(self.titles, self.first_row)
+            if _DATE.fullmatch(cell)
+        }
+
     def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield the rows of a log, with the columns of these indices; dates as seconds."""
         for first, lines, share in self._lines():
@@ -139,6 +148,7 @@ def plain_table(dialect: Dialect) -> LogTable:
         choices=choices,
         row_noun="line",
         first_row=dialect.first_row,
+        starts=dialect.starts,
     )
 
 
@@ -199,7 +209,7 @@ def split_line(line: str, separator: str) -> list[str]:
         return []
 
 
-# Day, time of the day, and zone, which is left out: time counts from the first row.
+# Day, time of the day, and zone, which is left out.
 _DATE = re.compile(
     r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)(?:Z|[+-]\d\d:?\d\d)?",
     re.ASCII | re.IGNORECASE,

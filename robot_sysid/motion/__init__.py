@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Optional
 from robot_sysid.errors import InputError
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
+    TOP_FREQUENCY_HZ,
     OptionRecord,
     PerJoint,
     joint_values,
@@ -35,9 +36,6 @@ LOADED = "B"
 PAYLOAD_ORDER = "ABBA"
 """Order in which a motion planned for a payload is recorded: it separates a drift of friction from
 the payload."""
-TOP_FREQUENCY_HZ = 0.6
-"""Largest frequency of a designed trajectory [Hz], the upper end of the band of random sinusoids.
-Where no acceleration limit is given, the limit is what full speed at this frequency needs."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,8 @@ class LimitOptions(OptionRecord):
         None,
         "acceleration limit of hinge joints",
         "A [rad/s²] > 0",
-        default_text="none; for a new motion, what full speed at 0.6 Hz needs",
+        default_text="none; for a new motion, what full speed at "
+        f"{TOP_FREQUENCY_HZ:g} Hz needs",
     )
     max_torque: Optional[PerJoint] = option(
         None,

@@ -18,7 +18,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.estimate.links import link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
-from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.clearance import Clearance, unguarded_links
 from robot_sysid.motion.mounting import mounting_plane
 from robot_sysid.motion.planes import tool_corners
@@ -26,6 +26,7 @@ from robot_sysid.records import Array, Limits, Motion, RobotModel
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
+    TOP_FREQUENCY_HZ,
     PerJoint,
     joint_values,
 )

@@ -33,7 +33,7 @@ from operator import attrgetter
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions
+from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import (
@@ -45,6 +45,7 @@ from robot_sysid.motion.problem import (
 from robot_sysid.records import Array
 from robot_sysid.records.limits import ROUNDING, limit_name, limited_quantities
 from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import TOP_FREQUENCY_HZ
 from robot_sysid.trajectory import SineTrajectory, TrajectoryOptions
 from robot_sysid.wording import option_name
 

@@ -393,9 +393,9 @@ def _friction(fitted: Fit) -> Iterator[Change]:
     """
     arm = fitted.arm
     speeds = np.concatenate([each.motion.qd for each in fitted.recordings])
-    used = np.concatenate([each.used for each in fitted.recordings])
-    counts = np.maximum(np.sum(used, axis=0), 1)
-    rms_speeds = np.sqrt(np.sum(np.where(used, speeds, 0.0) ** 2, axis=0) / counts)
+    is_used = np.concatenate([each.is_used for each in fitted.recordings])
+    counts = np.maximum(np.sum(is_used, axis=0), 1)
+    rms_speeds = np.sqrt(np.sum(np.where(is_used, speeds, 0.0) ** 2, axis=0) / counts)
     torques = fitted.sums.rms_torque
     for row, joint in enumerate(arm.joints):
         speed = np.array([rms_speeds[arm.indices[row]]])

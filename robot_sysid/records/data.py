@@ -22,6 +22,14 @@ RECORDING_SEPARATION = 10.0
 """Time that is put between recordings with separate clocks [s]: longer than any filter."""
 
 
+def shift_behind(last: float, first: float) -> float:
+    """Return what is added to the times of a recording that follows another one in a log [s].
+
+    ``last`` is the other one's last time, and ``first`` the recording's first.
+    """
+    return last + RECORDING_SEPARATION - first
+
+
 @dataclass(frozen=True)
 class Motion:
     """Motion of the n chain joints at N instants.

@@ -65,6 +65,9 @@ MOST_SAMPLES = 1e9
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints for which neither the user states one nor the model a lower one
 [rad/s]."""
+TOP_FREQUENCY_HZ = 0.6
+"""Highest frequency of designed and random motions [Hz]. Where no acceleration limit is given, the
+limit of a designed one is what full speed at this frequency needs."""
 Check = Callable[[Any], Optional[str]]
 """Returns what is wrong with a value, as the end of a sentence that begins with the option's flag,
 or None where nothing is."""

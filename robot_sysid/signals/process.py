@@ -124,7 +124,7 @@ class FilteredRecording:
             the cut-off was given.
         touched: stretches in which torque is left over that is ordinary at no other time.
         every: of how many rows one counts.
-        chosen: (K, n) rows that are used; None for all that the signals allow (``used``).
+        chosen: (K, n) rows that are used; None for all that the signals allow (``is_used``).
         kept: columns that were made of the samples.
     """
 
@@ -214,7 +214,7 @@ class FilteredRecording:
         return self._is_light(is_slow) & self.is_complete[:, None]
 
     @cached_property
-    def used(self) -> Mask:
+    def is_used(self) -> Mask:
         """Which rows (K, n) may be used: those that were chosen, else those of joints with torque
         where friction has a direction.
         """
@@ -233,10 +233,13 @@ class FilteredRecording:
 
     def only(self, rows: Mask) -> FilteredRecording:
         """Return the recording in which some rows, (K,) or (K, n), are used at most."""
-        return self.using((self.used.T & rows.T).T)
+        return self.using((self.is_used.T & rows.T).T)
 
     def using(
-        self, used: Mask, columns: Mapping[object, Array] | None = None, **changes: Any
+        self,
+        is_used: Mask,
+        columns: Mapping[object, Array] | None = None,
+        **changes: Any,
     ) -> FilteredRecording:
         """Return the recording with changed fields, of whose rows those (K, n) are used.
 
@@ -244,12 +247,12 @@ class FilteredRecording:
         changes.
 
         Args:
-            used: the rows.
+            is_used: the rows.
             columns: key to columns that are known of the changed recording.
             changes: fields.
         """
         kept = KeptColumns(columns) if changes else self.kept
-        return replace(self, chosen=used, kept=kept, **changes)
+        return replace(self, chosen=is_used, kept=kept, **changes)
 
     def with_all_rows(self, **changes: Any) -> FilteredRecording:
         """Return the recording with changed fields, of which all rows are used that the signals

@@ -16,7 +16,6 @@ from rigs.files.command_line import CommandLine
 from rigs.logs import recorded
 from rigs.logs.payload_logs import TrueArm, wide_motion
 from robot_sysid.commands.remedies import remedies
-from robot_sysid.diagnosis import gate
 from robot_sysid.errors import InputError
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Recording
@@ -64,6 +63,7 @@ def folder(truth, tmp_path_factory):
     turned = replace(log, tau=log.tau * np.array([1.0, -1.0, 1.0, 1.0]))
     logs = {"log": log, "wrong": replace(log, tau=1e3 * log.tau), "late": late(log)}
     logs["turned"] = turned
+    logs["strong"] = replace(log, tau=log.tau * np.array([1.0, 1.4, 1.0, 1.0]))
     logs["degrees"] = replace(log, q=np.degrees(log.q))
     for name, finding in logs.items():
         write_measurement_csv(
@@ -154,20 +154,23 @@ def test_the_order_of_a_payload_has_a_letter_for_each_log_not_for_each_file(comm
     assert "--order AABB: needs 1 times A (the empty logs) and 1 times B" in text
 
 
-def test_a_file_of_scales_says_how_sure_they_are(folder, command, truth, monkeypatch):
-    """As in ``identify``, which judges the same log with this prior."""
-    scales = dict.fromkeys(truth.robot.joint_names, (1.0, 0.005))
+@pytest.mark.parametrize(
+    ("relative_error", "found"), [(0.2, []), (0.005, [("torque-scale", "doubts")])]
+)
+def test_a_file_of_scales_says_how_sure_they_are(
+    folder, command, truth, relative_error, found
+):
+    """A scale within what its file says is no finding; one beyond is, as without a file."""
+    scales = dict.fromkeys(truth.robot.joint_names, (1.0, relative_error))
     write_torque_scale(folder / "scale.json", scales)
-    priors = []
 
-    def no_findings(robot, logs, question, progress):
-        priors.append(question.options.priors.scale)
-        return gate.Judged(tuple(logs), (), (), None)
+    def findings(scale):
+        line = f"log strong.csv arm.xml --torque-scale {scale} --accept torque-scale"
+        answer = json.loads(command.run(f"{line} --json").out)
+        return [(each["about"], each["level"]) for each in answer["findings"]]
 
-    monkeypatch.setattr(gate, "judge", no_findings)
-    command.run("log log.csv arm.xml --torque-scale scale.json")
-    command.run("log log.csv arm.xml --torque-scale 1")
-    assert priors == [pytest.approx((0.5, 0.5, 0.5, 0.5)), None]
+    assert findings("scale.json") == found
+    assert findings("1") == [("torque-scale", "doubts")]
 
 
 def test_a_warning_stops_unless_it_is_accepted(command):

@@ -75,7 +75,7 @@ def test_a_fault_that_lasts_a_moment_is_left_out_and_said(four_joints, fault):
     assert all("left out" in finding.text for finding in findings)
     (recording,) = answer.fit.recordings
     time = recording.motion.time
-    used = time[np.any(recording.used, axis=1)]
+    used = time[np.any(recording.is_used, axis=1)]
     assert not np.any((used > BEGIN + 0.02) & (used < END - 0.02))
     step = float(np.median(np.diff(time)))
     assert step * (len(time) - len(used)) - (END - BEGIN) <= BESIDE

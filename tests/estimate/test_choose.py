@@ -210,8 +210,8 @@ def test_rows_at_turns_are_used_where_a_joint_does_not_stand(plant):
     log = log_of(plant, plan_of(plant, 3, 20.0), noise_torque=0.01)
     recordings = filter_logs(plant, log, cutoff=11.7)
     assert np.any(recordings[0].at_turns(TURN_TRAVELS[0]))
-    used = fit_recordings(plant, recordings).recordings[0].used
-    assert_array_equal(used, recordings[0].used)
+    is_used = fit_recordings(plant, recordings).recordings[0].is_used
+    assert_array_equal(is_used, recordings[0].is_used)
 
 
 def test_rotors_are_within_their_errors_where_friction_takes_a_travel_to_turn_round():

@@ -36,6 +36,6 @@ def test_rows_of_contacts_are_left_out_unless_they_come_back(spans):
         assert joints[1] and not joints[0]
         kept[(time >= start) & (time <= stop)] = len(spans) > 5
     assert len(found.touched) == len(spans)
-    assert_array_equal(found.used, touched.only(kept).used)
+    assert_array_equal(found.is_used, touched.only(kept).is_used)
     off = (fitted.values - arm.values(fitted.names)) / fitted.errors
     assert np.max(np.abs(off)) < 4.0 or len(spans) > 5

@@ -83,7 +83,7 @@ def test_only_another_body_is_informative_where_a_joints_friction_is_unknown(
 ):
     """A link of another mass shows even if one joint stood still in the fitted log."""
     (recording,) = noisy_fit.recordings
-    kept = np.full(recording.used.shape, is_moving) | [True, False, True]
+    kept = np.full(recording.is_used.shape, is_moving) | [True, False, True]
     fitted = fit_recordings(robot, [recording.only(kept)])
     is_informative = []
     for log in other_logs:
@@ -102,7 +102,7 @@ def errors_by_log(robot, arms_of_logs, resting=()):
         for k, arm in enumerate(arms_of_logs)
     ]
     first, *others = filter_logs(robot, *logs)
-    kept = np.ones_like(first.used)
+    kept = np.ones_like(first.is_used)
     kept[:, list(resting)] = False
     fitted = fit_recordings(robot, [first.only(kept), *others])
     tests = held_out_logs(fitted)

@@ -22,7 +22,7 @@ from rigs.logs.log_files import (
 )
 from robot_sysid.logs import LogOptions, arrays
 from robot_sysid.logs.reader import open_table
-from robot_sysid.logs.table import ROWS
+from robot_sysid.logs.table import ROWS, beginning
 from robot_sysid.signals.resampling import split_at_gaps
 
 DATA = motion()
@@ -41,7 +41,7 @@ def h5py_module():
     return pytest.importorskip("h5py")
 
 
-def parquet(path, **arrays):
+def parquet(path, row_group_size=None, **arrays):
     """Write a Parquet file, with lists of three in the cells of arrays of three columns."""
     pa = pytest.importorskip("pyarrow")
     lists = pa.FixedSizeListArray.from_arrays
@@ -49,7 +49,9 @@ def parquet(path, **arrays):
     for name, values in arrays.items():
         is_wide = getattr(values, "ndim", 1) == 2
         cells[name] = lists(pa.array(values.ravel()), 3) if is_wide else values
-    pytest.importorskip("pyarrow.parquet").write_table(pa.table(cells), path)
+    pytest.importorskip("pyarrow.parquet").write_table(
+        pa.table(cells), path, row_group_size=row_group_size
+    )
 
 
 def test_lists_of_unequal_length_are_refused(tmp_path):
@@ -70,6 +72,30 @@ def test_parquet_is_read_some_rows_at_a_time(tmp_path):
     assert [len(block.lines) for block in blocks] == [ROWS, ROWS, ROWS - 5]
     assert blocks[2].lines[0] == 2 * ROWS + 1
     assert_array_equal(blocks[2].cells[:, 1], 3.0 * time[2 * ROWS :])
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000])
+def test_row_groups_of_any_size_are_one_table(tmp_path, size):
+    path = tmp_path / "log"
+    parquet(path, row_group_size=size, **{**COLUMNS, "t": DATA.time})
+    table = open_table(path, JOINTS, LogOptions())
+    parts = [f"{name}[{k}]" for name in ("q", "qd", "tau") for k in range(3)]
+    assert table.titles == ("t", *parts)
+    expected = np.column_stack([*COLUMNS.values()])
+    assert_array_equal(table.cells(range(10)), expected)
+
+
+@pytest.mark.parametrize("size", [1, 7, ROWS])
+def test_the_beginning_of_chunks_of_any_size_shows_the_columns(size):
+    rows = np.arange(3.0 * ROWS)
+    arrays_of_rows = rows, np.outer(rows, [1.0, 2.0])
+    edges = range(0, len(rows), size)
+    chunks = ([array[k : k + size] for array in arrays_of_rows] for k in edges)
+    first = beginning(chunks)
+    assert ROWS <= len(first[0]) < ROWS + size
+    for found, array in zip(first, arrays_of_rows):
+        assert_array_equal(found, array[: len(found)])
+    assert beginning([]) == beginning([[], []]) == []
 
 
 class Harmless:

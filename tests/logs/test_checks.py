@@ -184,6 +184,20 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
         read_table(tmp_path, np.hstack((rows, stamps)), titles)
 
 
+def test_own_time_stamps_that_are_dates_have_one_clock(tmp_path):
+    """Each column of dates counts from its own first one, which is not that of the others."""
+    titles = (*TITLES, *(f"{joint}_time" for joint in JOINTS))
+    time, *values = table(motion()).T
+    stamps = time[:, None] + np.array([0.0, 1e-3, 2e-3])
+    nanoseconds = np.round(1e9 * np.column_stack((time, stamps))).astype("m8[ns]")
+    dates, *own = (np.datetime64("2024-05-01T12:00:00", "ns") + nanoseconds).T.astype(
+        str
+    )
+    log = read_table(tmp_path, [*zip(dates, *values, *own)], titles)
+    np.testing.assert_allclose(log.time, time, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(log.joint_time, stamps, rtol=0.0, atol=1e-9)
+
+
 def test_velocities_that_are_missing_are_left_out_and_no_row(tmp_path):
     data = motion()
     rows = np.column_stack((table(data), data.qd))

@@ -81,6 +81,43 @@ def test_a_torque_that_was_read_later_is_interpolated_by_its_time(tmp_path):
     np.testing.assert_array_equal(log.q, DATA.q[61:])
 
 
+DATES = np.datetime64("2024-05-01T12:00:00", "ns")
+
+
+def dates_at(time):
+    """Return times [s] as dates, to the nanosecond."""
+    return DATES + (1e9 * time).round().astype("m8[ns]")
+
+
+def write_dated(path, time, values, titles):
+    """Write quantities with a column of dates, as text, or as Parquet by the ending of the file."""
+    dates = dates_at(time)
+    if path.suffix == ".parquet":
+        pa = pytest.importorskip("pyarrow")
+        table = pa.table({"time": dates, **dict(zip(titles, values.T))})
+        pytest.importorskip("pyarrow.parquet").write_table(table, path)
+        return path
+    rows = zip(dates.astype(str), values.tolist())
+    lines = [",".join([date, *map(repr, row)]) for date, row in rows]
+    path.write_text("\n".join([",".join(("time", *titles)), *lines]))
+    return path
+
+
+@pytest.mark.parametrize("endings", [("csv", "csv"), ("csv", "parquet")])
+def test_dates_of_two_files_are_those_of_one_clock(tmp_path, endings):
+    """Each file's times count from its own first date: rows of one index are other instants."""
+    later = DATA.time + 0.3 + 0.0025
+    tau = np.sin(np.outer(later, [2.0, 3.0, 4.0]))
+    of_files = ("q", DATA.time, DATA.q, Q), ("tau", later, tau, TAU)
+    (log,) = read(
+        write_dated(tmp_path / f"{name}.{ending}", *columns)
+        for (name, *columns), ending in zip(of_files, endings)
+    )
+    np.testing.assert_array_equal(log.q, DATA.q[61:])
+    expected = np.sin(np.outer(DATA.time[61:], [2.0, 3.0, 4.0]))
+    np.testing.assert_allclose(log.tau, expected, rtol=0.0, atol=1e-6)
+
+
 def test_nothing_is_interpolated_within_a_hole_of_the_torques(tmp_path):
     kept = np.r_[0:200, 210:600]
     paths = halves(tmp_path, DATA.time, DATA.time[kept], tau=DATA.tau[kept])

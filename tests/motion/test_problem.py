@@ -18,10 +18,11 @@ from rigs.files import urdf
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
+from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Limits
+from robot_sysid.records.option_fields import TOP_FREQUENCY_HZ
 
 
 def limited_arm(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf):

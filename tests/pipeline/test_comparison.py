@@ -1,6 +1,7 @@
 """Two runs of one arm: what has changed is found with its value, and nothing else is."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,24 +13,27 @@ from rigs.arms.small_arms import SEEDS
 from rigs.logs.measured_logs import XML, log_of
 from rigs.logs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 from robot_sysid import spatial
-from robot_sysid.diagnosis.gate import Judged
+from robot_sysid.diagnosis.gate import judge
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.choose import solve_question
-from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.terms import ArmTerms
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import open_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline import comparison
 from robot_sysid.pipeline.changes import (
     ALL_JOINTS,
     DIFFERS,
     UNKNOWN,
     WITH_ALL,
+    Kind,
     change_question,
     changes,
 )
 from robot_sysid.pipeline.comparison import compare_runs, sentences, verdict_on
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.messages import Level, Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors, write_torque_scale
 
 ROBOT = four_joint_arm()
@@ -203,10 +207,6 @@ def test_where_there_is_no_common_fit_it_is_said(second, reason, tmp_path):
         compare_runs(runs, Progress())
 
 
-class Checked(Exception):
-    """Ends a comparison where its logs are judged."""
-
-
 def runs_with(folder, robot, *options):
     """Return a run per text of options, each with a log of its own, of one model."""
     runs = []
@@ -220,44 +220,99 @@ def runs_with(folder, robot, *options):
     return runs
 
 
-def test_logs_are_judged_against_the_runs_own_arm_with_its_options(
-    arm_file, tmp_path, monkeypatch
-):
-    robot = load_robot_model(arm_file(XML))
-    for number in range(2):
-        log = log_of(robot, seed=number, noise_torque=0.1)
-        write_measurement_csv(tmp_path / f"log{number}.csv", robot.joint_names, [log])
+RUN = 'mass_scale = 1.5\ntorque_scale = "scale.json"\n'
+"""Options of runs whose arm is heavier than its model, and whose torques read twice as much."""
+
+
+@pytest.fixture
+def heavy(arm_file, tmp_path, monkeypatch):
+    """The arm of these options, with the file of its torque scales."""
+    monkeypatch.chdir(tmp_path)
+    arm = load_robot_model(arm_file(XML), mass_scale=1.5)
     write_torque_scale(
-        tmp_path / "scale.json", dict.fromkeys(robot.joint_names, (2.0, 0.01))
+        tmp_path / "scale.json", dict.fromkeys(arm.joint_names, (2.0, 0.01))
     )
+    return arm
 
-    def check(arm, logs, question, progress, is_loaded, order):
-        assert arm.mass == pytest.approx(1.5 * robot.mass)
-        assert question.options.priors.scale == pytest.approx((0.5, 0.5, 0.5))
-        assert is_loaded == [False, True] and order == [-1.0, 1.0]
-        for log in logs:
-            scale, _ = joint_factors(
-                log.options["torque_scale"], arm.joint_names, SCALE
-            )
-            assert np.all(scale == 2.0)
-        return Judged(tuple(logs), (), (), None)
 
-    def end(judged, accepted, progress):
-        assert accepted == {"tilt", "torque-scale", "zero"}
-        raise Checked
+def write_logs(folder, arm, later=None, factor=1.0, zero=0.0):
+    """Write two logs of an arm, of which the later one may be of another arm.
 
-    monkeypatch.setattr(comparison, "judge", check)
-    monkeypatch.setattr(comparison, "usable_fit", end)
-    options = (
-        'mass_scale = 1.5\naccept = ["tilt"]\n'
-        f'torque_scale = "{tmp_path / "scale.json"}"'
+    The later log's torque of the middle joint reads ``factor`` times too much, and its position
+    ``zero`` [rad] too much.
+    """
+    middle = np.eye(3)[1]
+    for number, each in enumerate((arm, later or arm)):
+        log = log_of(each, seed=number + 1, noise_torque=0.05)
+        log = replace(log, tau=2.0 * log.tau)
+        if number:
+            tau = log.tau * (1.0 + (factor - 1.0) * middle)
+            log = replace(log, tau=tau, q=log.q + zero * middle)
+        write_measurement_csv(folder / f"log{number}.csv", arm.joint_names, [log])
+
+
+def judged_logs(arm, folder, priors):
+    """Return both logs judged together, with the scales of their file."""
+    paths = [folder / f"log{number}.csv" for number in range(2)]
+    logs = open_logs(
+        arm, paths, LogOptions(torque_scale=Path("scale.json")), Progress()
     )
-    with pytest.raises(Checked):
-        compare_runs(runs_with(tmp_path, robot, options, options), Progress())
-    turned = "gravity = [1.0, 0.0, 0.0]\n" + options
+    for log in logs:
+        scale, _ = joint_factors(log.options["torque_scale"], arm.joint_names, SCALE)
+        assert np.all(scale == 2.0)
+    options = EstimationOptions(priors=priors)
+    question = change_question(ArmTerms(arm, loaded=True), options)
+    return judge(arm, logs, question, Progress(), [False, True], [-1.0, 1.0])
+
+
+AS_SURE = Priors(scale=(0.5, 0.5, 0.5))
+"""Torque scales as sure as their file says [%]."""
+
+
+def test_logs_are_judged_against_the_runs_own_arm_with_its_options(heavy, tmp_path):
+    write_logs(tmp_path, heavy)
+    found = compare_runs(runs_with(tmp_path, heavy, RUN, RUN), Progress())
+    of_runs, without_file = (
+        [row.error for row in changes(judged_logs(heavy, tmp_path, priors).fit)]
+        for priors in (AS_SURE, Priors())
+    )
+    assert [row.error for row in found] == pytest.approx(of_runs, rel=1e-9)
+    assert of_runs != pytest.approx(without_file, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("after", "name", "kind"),
+    [
+        ({"factor": 1.8}, FaultName.TORQUE_SCALE, Kind.SCALE),
+        ({"zero": -0.3}, FaultName.ZERO, Kind.ZERO),
+    ],
+)
+def test_a_doubt_that_is_what_has_changed_stops_no_comparison(
+    heavy, tmp_path, after, name, kind
+):
+    write_logs(tmp_path, heavy, **after)
+    doubted = judged_logs(heavy, tmp_path, AS_SURE).findings
+    assert [(each.level, each.about) for each in doubted] == [(Level.DOUBTS, name)]
+    found = compare_runs(runs_with(tmp_path, heavy, RUN, RUN), Progress())
+    assert kind in {row.kind for row in found if row.reason == DIFFERS}
+
+
+def test_a_doubt_stops_a_comparison_unless_a_run_has_accepted_it(heavy, tmp_path):
+    angle = np.radians(8.0)
+    gravity = 9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    tilted = load_robot_model(heavy.path, mass_scale=1.5, gravity=tuple(gravity))
+    write_logs(tmp_path, heavy, tilted)
+    with pytest.raises(SysidError, match="--accept tilt"):
+        compare_runs(runs_with(tmp_path, heavy, RUN, RUN), Progress())
+    runs = runs_with(tmp_path, heavy, f'{RUN}accept = ["tilt"]', RUN)
+    assert compare_runs(runs, Progress())
+
+
+def test_runs_with_other_masses_or_gravity_have_no_common_fit(heavy, tmp_path):
+    turned = "gravity = [1.0, 0.0, 0.0]\n" + RUN
     for option, other in (("mass-scale", ""), ("gravity", turned)):
         with pytest.raises(InputError, match=f"the runs differ in --{option}"):
-            compare_runs(runs_with(tmp_path, robot, options, other), Progress())
+            compare_runs(runs_with(tmp_path, heavy, RUN, other), Progress())
 
 
 @pytest.mark.slow

@@ -10,10 +10,11 @@ from rigs.logs.measured_logs import XML, log_of
 from robot_sysid.config import PayloadConfig
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.payload import payload_estimate
 from robot_sysid.estimate.questions import Question
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline import recordings, stages
+from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.recordings import is_drift_identifiable, order_positions
 from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
@@ -57,46 +58,50 @@ def robot(arm_file):
     return load_robot_model(arm_file(XML))
 
 
-@pytest.fixture
-def paths(robot, tmp_path):
-    """An empty log in two parts with a long hole between them, and a complete loaded one."""
-    paths = tmp_path / "cut.csv", tmp_path / "complete.csv"
-    log = log_of(robot, noise_torque=0.1)
+def write_logs(arm, folder):
+    """Write an empty log of two parts with a long hole between them, and a complete loaded one."""
+    paths = folder / "cut.csv", folder / "complete.csv"
+    log = log_of(arm, noise_torque=0.1)
     later = replace(log, time=log.time + 60.0)
-    for path, parts in zip(paths, ([log, later], [log_of(robot, seed=2)])):
-        write_measurement_csv(path, robot.joint_names, parts)
+    for path, parts in zip(paths, ([log, later], [log_of(arm, seed=2)])):
+        write_measurement_csv(path, arm.joint_names, parts)
     return paths
 
 
-class Checked(Exception):
-    """Ends a run where its logs are judged."""
+def judged_logs(arm, paths, options):
+    """Return the first log as an empty one and the second as a loaded one, judged together."""
+    logs = [open_log(arm, path) for path in paths]
+    question = Question(options, loaded=True)
+    return judge(arm, logs, question, Progress(), [False, True], [-1.0, 1.0])
 
 
-def test_logs_are_judged_together_with_the_options_of_the_run(
-    robot, paths, monkeypatch
-):
-    empty, loaded = paths
-    priors = {"zero": 7.0}
+def test_logs_are_judged_together_with_the_options_of_the_run(robot, tmp_path):
+    arm = load_robot_model(robot.path, mass_scale=1.5)
+    assert arm.mass == pytest.approx(1.5 * robot.mass)
+    empty, loaded = paths = write_logs(arm, tmp_path)
     config = PayloadConfig.of(
-        robot.path, empty=(empty,), loaded=(loaded,), priors=priors, mass_scale=1.5
+        robot.path,
+        empty=(empty,),
+        loaded=(loaded,),
+        priors={"zero": 7.0},
+        mass_scale=1.5,
     )
+    result, _ = stages.identify(config, stages.load_arm(config, Progress()), Progress())
+    of_run, as_usual = (
+        payload_estimate(judged_logs(arm, paths, options).fit)
+        for options in (config.estimation, EstimationOptions())
+    )
+    assert result.payload.recordings == {
+        "empty": (str(empty),),
+        "loaded": (str(loaded),),
+    }
+    np.testing.assert_allclose(result.payload.covariance, of_run.covariance, rtol=1e-9)
+    assert np.all(of_run.covariance != as_usual.covariance)
 
-    def check(arm, logs, question, progress, is_loaded, order):
-        assert arm.mass == pytest.approx(1.5 * robot.mass)
-        assert question.options == config.estimation and question.loaded
-        assert [log.name for log in logs] == [*map(str, paths)]
-        assert is_loaded == [False, True] and order == [-1.0, 1.0]
-        raise Checked
 
-    monkeypatch.setattr(recordings, "judge", check)
-    with pytest.raises(Checked):
-        stages.run(config, Progress())
-
-
-def test_parts_of_a_log_with_a_long_hole_are_one_log(robot, paths):
-    logs = [open_log(robot, path) for path in paths]
-    question = Question(EstimationOptions(), loaded=True)
-    judged = judge(robot, logs, question, Progress(), [False, True], [-1.0, 1.0])
+def test_parts_of_a_log_with_a_long_hole_are_one_log(robot, tmp_path):
+    paths = write_logs(robot, tmp_path)
+    judged = judged_logs(robot, paths, EstimationOptions())
     cut, complete = map(str, paths)
     found = [(log.name, log.is_loaded, log.order) for log in judged.fit.recordings]
     assert found == [(cut, False, -1.0)] * 2 + [(complete, True, 1.0)]

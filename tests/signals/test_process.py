@@ -53,13 +53,13 @@ def test_columns_are_kept_for_the_samples_that_they_are_made_of():
     signals = filtered(Swing().measurement(seconds(12.0, 100.0)), cutoff=8.0)
     made = signals.kept.get("speed", lambda: signals.filter_columns(lambda m: m.qd))
     chosen = signals.only(np.zeros(len(signals), dtype=bool))
-    assert not np.any(chosen.used)
+    assert not np.any(chosen.is_used)
     assert chosen.kept.get("speed", lambda: 0.0 * made) is made
-    assert_array_equal(chosen.with_all_rows(name="again").used, signals.used)
-    faster = signals.using(signals.used, qd=2.0 * signals.qd)
+    assert_array_equal(chosen.with_all_rows(name="again").is_used, signals.is_used)
+    faster = signals.using(signals.is_used, qd=2.0 * signals.qd)
     again = faster.kept.get("speed", lambda: faster.filter_columns(lambda m: m.qd))
     assert_close(again, 2.0 * made, atol=1e-12)
-    told = signals.using(signals.used, {"speed": 2.0 * made}, qd=2.0 * signals.qd)
+    told = signals.using(signals.is_used, {"speed": 2.0 * made}, qd=2.0 * signals.qd)
     assert_array_equal(told.kept.get("speed", lambda: made), 2.0 * made)
 
 
@@ -78,8 +78,8 @@ def test_exactly_the_rows_with_too_many_slow_samples_are_masked(deadband):
     slow = np.abs(signals.qd) < deadband
     centres = np.arange(half, len(signals.time) - half, signals.low_pass.step)
     share = np.array([weight @ slow[at - half : at + half + 1] for at in centres])
-    assert_array_equal(signals.used, share <= LARGEST_SLOW_SHARE)
-    assert np.any(~signals.used & ~slow[centres])
+    assert_array_equal(signals.is_used, share <= LARGEST_SLOW_SHARE)
+    assert np.any(~signals.is_used & ~slow[centres])
     rows = signals.low_pass.decimate(signals.tau)
     assert_allclose(rows, Swing().tau(signals.motion.time), atol=1e-3)
 
@@ -91,8 +91,8 @@ def test_a_joint_at_rest_is_masked_and_named():
     signals = filtered(
         replace(log, q=positions), cutoff=8.0, is_slide=(False, True, False)
     )
-    assert not np.any(signals.used[:, 1])
-    assert np.mean(signals.used[:, 0]) > 0.9
+    assert not np.any(signals.is_used[:, 1])
+    assert np.mean(signals.is_used[:, 0]) > 0.9
     (note,) = [n for n in signals.notes if "only 0 % of the rows of joint b" in n]
     assert "m/s, where the direction" in note and "rad" not in note
 
@@ -112,7 +112,7 @@ def row_errors(signals, swing):
     time = signals.time
     qdd = signals.low_pass.decimate(signals.qdd - swing.q(time, 2))
     tau = signals.low_pass.decimate(signals.tau - swing.tau(time))
-    return qdd, tau, np.all(signals.used, axis=1)
+    return qdd, tau, np.all(signals.is_used, axis=1)
 
 
 def test_only_rows_beside_a_long_hole_are_masked():
