@@ -35,8 +35,8 @@ LARGEST_WRAP_STEP = 0.5
 LARGEST_VALUE = 1e7
 """Larger positions and torques are faults of a file [SI units]."""
 LEAST_TORQUE = 1e-30
-"""Torque below which there is none [N m or N]: memory that was never written holds such numbers, and
-so much less than any sensor's step has squares that are no numbers."""
+"""Torque below which there is none [N m or N]: memory that was never written holds such numbers,
+far below any sensor's step, and their squares are zero."""
 MOST_UNREADABLE = 0.01
 """Share of unreadable rows above which a file is no such table (chosen)."""
 MOST_INCOMPLETE = 0.05
