@@ -21,13 +21,10 @@ LEFT = {
     "tests/api/test_api.py: calls: 'predict_plan'",
     "tests/api/test_motors.py: calls: 'predict_plan'",
     "tests/api/test_threads.py: calls.stages: 'identify'",
-    "tests/commands/conftest.py: planning: 'predict_plan'",
-    "tests/commands/conftest.py: planning: 'purpose_shortfall'",
     "tests/commands/test_log.py: gate: 'judge'",
     "tests/commands/test_motors.py: SystemClock: 'now'",
     "tests/commands/test_motors.py: SystemClock: 'sleep_until'",
     "tests/commands/test_motors.py: parser: 'load_robot_model'",
-    "tests/commands/test_motors_steps.py: Design: '__init__'",
     "tests/commands/test_report.py: runs: 'save_data'",
     "tests/commands/test_run.py: CheckedPlan: 'failure'",
     "tests/damiao/test_floating.py: Console: 'stage'",
@@ -40,7 +37,6 @@ LEFT = {
     "tests/pipeline/test_payload.py: recordings: 'judge'",
     "tests/test_cli.py: 'robot_sysid.pipeline.stages.identify_parameters': heavier",
     "tests/test_cli.py: 'robot_sysid.results.verification.require_reproduction': stop",
-    "tests/test_walk.py: Design: '__init__'",
 }
 
 
