@@ -17,15 +17,12 @@ LEFT = {
     "rigs/motors/damiao_rig.py: execution: 'SystemClock'",
     "rigs/motors/damiao_rig.py: execution: 'open_bus'",
     "rigs/motors/damiao_rig.py: plant: 'ArmStepper'",
-    "tests/api/test_api.py: 'robot_sysid.results.identification.errors_on': errors_on",
     "tests/api/test_api.py: calls: 'predict_plan'",
     "tests/api/test_motors.py: calls: 'predict_plan'",
-    "tests/api/test_threads.py: calls.stages: 'identify'",
     "tests/commands/test_log.py: gate: 'judge'",
     "tests/commands/test_motors.py: SystemClock: 'now'",
     "tests/commands/test_motors.py: SystemClock: 'sleep_until'",
     "tests/commands/test_motors.py: parser: 'load_robot_model'",
-    "tests/commands/test_report.py: runs: 'save_data'",
     "tests/commands/test_run.py: CheckedPlan: 'failure'",
     "tests/damiao/test_floating.py: Console: 'stage'",
     "tests/damiao/test_floating.py: Floating: 'follow'",
@@ -35,8 +32,6 @@ LEFT = {
     "tests/pipeline/test_comparison.py: comparison: 'judge'",
     "tests/pipeline/test_comparison.py: comparison: 'usable_fit'",
     "tests/pipeline/test_payload.py: recordings: 'judge'",
-    "tests/test_cli.py: 'robot_sysid.pipeline.stages.identify_parameters': heavier",
-    "tests/test_cli.py: 'robot_sysid.results.verification.require_reproduction': stop",
 }
 
 
