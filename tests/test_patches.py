@@ -37,13 +37,39 @@ LEFT = {
 
 def from_package(tree: ast.AST) -> set[str]:
     """The names that a file imports from the package."""
-    return {
+    names = {
         alias.asname or alias.name.split(".")[0]
         for node in ast.walk(tree)
         if isinstance(node, (ast.Import, ast.ImportFrom))
         for alias in node.names
         if (getattr(node, "module", None) or alias.name).split(".")[0] == "robot_sysid"
     }
+    return names | parameters_from(tree, names)
+
+
+def parameters_from(tree: ast.AST, names: set[str]) -> set[str]:
+    """The parameters of tests that stand for one of these names, or a part of it, in some case."""
+    return {
+        parameter
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("parametrize")
+        for case in getattr(node.args[1], "elts", ())
+        for parameter, value in parameters_of(node.args[0], case)
+        if isinstance(value, (ast.Name, ast.Attribute))
+        and ast.unparse(value).split(".")[0] in names
+    }
+
+
+def parameters_of(parameters: ast.AST, case: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """The parameters of one case of a test, each with the expression of its value."""
+    stated = ast.literal_eval(parameters)
+    if isinstance(stated, str):
+        stated = stated.split(",")
+    if isinstance(case, ast.Call) and ast.unparse(case.func) == "pytest.param":
+        values = case.args
+    else:
+        values = getattr(case, "elts", ()) if len(stated) > 1 else [case]
+    return zip(map(str.strip, stated), values)
 
 
 def private(name: str) -> bool:
@@ -94,6 +120,13 @@ def test_tests_patch_nothing_of_the_package():
         "from robot_sysid import model\nmodel._robot()",
         "from robot_sysid import model\nmonkeypatch.setattr(model, 'robot', None)",
         "monkeypatch.setattr('robot_sysid.model.robot', None)",
+        "import robot_sysid.model\nmonkeypatch.delattr(robot_sysid.model, 'robot')",
+        """
+from robot_sysid import model
+@pytest.mark.parametrize(("module", "name"), [(os, "rename"), (model, "robot")])
+def test(monkeypatch, module, name):
+    monkeypatch.setattr(module, name, None)
+""",
     ],
 )
 def test_a_patch_is_found(source):
