@@ -18,7 +18,6 @@ from rigs.files.places import GUESS
 from robot_sysid.cli import main, message_lines, record_interrupts
 from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import ColumnsError
-from robot_sysid.solver import identify_parameters
 
 ARM = serial_arm((Y, "1 .2 0"))
 SHORT = ("--duration", "1", "--sample-rate", "100", "--seed", "1")
@@ -136,18 +135,14 @@ def test_what_is_not_sought_or_not_seen_is_said(arm, command):
     assert "  Coulomb friction: 0.00 N\n  Viscous friction: 0.00 N·s/m\n" in out
 
 
-def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command, monkeypatch):
-    """Exit code 1, params.json, no model; an older model goes, and is said to have gone."""
+def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command):
+    """Exit code 1, params.json, no model; an older model goes, and is said to have gone.
+
+    The compiler's settings multiply the mass that is written.
+    """
     command.run(arm, *SHORT)
-
-    def heavier(*arguments, **options):
-        """Return an estimate that the compiler's settings do not let into the file."""
-        estimate = identify_parameters(*arguments, **options)
-        return estimate._replace(values=1.1 * estimate.values)
-
-    monkeypatch.setattr("robot_sysid.pipeline.stages.identify_parameters", heavier)
     arm.write_text(
-        ARM.replace("<worldbody>", '<compiler settotalmass="2"/><worldbody>')
+        ARM.replace("<worldbody>", '<compiler settotalmass="4"/><worldbody>')
     )
     printed = command.run(arm, *SHORT, code=1)
     assert "Identified parameters:" in printed.out
@@ -212,12 +207,22 @@ def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
 def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
     old_files, command, arm, monkeypatch
 ):
-    def stop(*_, **__):
-        signal.raise_signal(signal.SIGTERM)
+    """While the model's draft is written, and when all drafts are."""
 
-    monkeypatch.setattr("robot_sysid.results.verification.require_reproduction", stop)
-    command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
-    assert files_in(OUT) == old_files
+    def call_before_a_signal(call):
+        """A call that a signal follows."""
+
+        def call_and_stop(*arguments):
+            call(*arguments)
+            signal.raise_signal(signal.SIGTERM)
+
+        return call_and_stop
+
+    for module, name in ((Path, "write_bytes"), (os, "fsync")):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, call_before_a_signal(getattr(module, name)))
+            command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
+        assert files_in(OUT) == old_files
 
 
 def run_process(*arguments, cwd, **streams):

@@ -17,39 +17,53 @@ LEFT = {
     "rigs/motors/damiao_rig.py: execution: 'SystemClock'",
     "rigs/motors/damiao_rig.py: execution: 'open_bus'",
     "rigs/motors/damiao_rig.py: plant: 'ArmStepper'",
-    "tests/api/test_api.py: 'robot_sysid.results.identification.errors_on': errors_on",
     "tests/api/test_api.py: calls: 'predict_plan'",
     "tests/api/test_motors.py: calls: 'predict_plan'",
-    "tests/api/test_threads.py: calls.stages: 'identify'",
-    "tests/commands/conftest.py: planning: 'predict_plan'",
-    "tests/commands/conftest.py: planning: 'purpose_shortfall'",
     "tests/commands/test_motors.py: SystemClock: 'now'",
     "tests/commands/test_motors.py: SystemClock: 'sleep_until'",
     "tests/commands/test_motors.py: parser: 'load_robot_model'",
-    "tests/commands/test_motors_steps.py: Design: '__init__'",
-    "tests/commands/test_report.py: runs: 'save_data'",
     "tests/commands/test_run.py: CheckedPlan: 'failure'",
     "tests/damiao/test_floating.py: Console: 'stage'",
     "tests/damiao/test_floating.py: Floating: 'follow'",
     "tests/damiao/test_floating.py: holding: 'measure_drift'",
-    "tests/pipeline/test_curved_models.py: f'robot_sysid.{module}.can_bend': lambda: False",
-    "tests/pipeline/test_planning.py: planning: 'predict_plan'",
-    "tests/pipeline/test_planning.py: starts: 'contact_on_the_way'",
-    "tests/test_cli.py: 'robot_sysid.pipeline.stages.identify_parameters': heavier",
-    "tests/test_cli.py: 'robot_sysid.results.verification.require_reproduction': stop",
-    "tests/test_walk.py: Design: '__init__'",
 }
 
 
 def from_package(tree: ast.AST) -> set[str]:
     """The names that a file imports from the package."""
-    return {
+    names = {
         alias.asname or alias.name.split(".")[0]
         for node in ast.walk(tree)
         if isinstance(node, (ast.Import, ast.ImportFrom))
         for alias in node.names
         if (getattr(node, "module", None) or alias.name).split(".")[0] == "robot_sysid"
     }
+    return names | parameters_from(tree, names)
+
+
+def parameters_from(tree: ast.AST, names: set[str]) -> set[str]:
+    """The parameters of tests that stand for one of these names, or a part of it, in some case."""
+    return {
+        parameter
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("parametrize")
+        for case in getattr(node.args[1], "elts", ())
+        for parameter, value in parameters_of(node.args[0], case)
+        if isinstance(value, (ast.Name, ast.Attribute))
+        and ast.unparse(value).split(".")[0] in names
+    }
+
+
+def parameters_of(parameters: ast.AST, case: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """The parameters of one case of a test, each with the expression of its value."""
+    stated = ast.literal_eval(parameters)
+    if isinstance(stated, str):
+        stated = stated.split(",")
+    if isinstance(case, ast.Call) and ast.unparse(case.func) == "pytest.param":
+        values = case.args
+    else:
+        values = getattr(case, "elts", ()) if len(stated) > 1 else [case]
+    return zip(map(str.strip, stated), values)
 
 
 def private(name: str) -> bool:
@@ -100,6 +114,13 @@ def test_tests_patch_nothing_of_the_package():
         "from robot_sysid import model\nmodel._robot()",
         "from robot_sysid import model\nmonkeypatch.setattr(model, 'robot', None)",
         "monkeypatch.setattr('robot_sysid.model.robot', None)",
+        "import robot_sysid.model\nmonkeypatch.delattr(robot_sysid.model, 'robot')",
+        """
+from robot_sysid import model
+@pytest.mark.parametrize(("module", "name"), [(os, "rename"), (model, "robot")])
+def test(monkeypatch, module, name):
+    monkeypatch.setattr(module, name, None)
+""",
     ],
 )
 def test_a_patch_is_found(source):

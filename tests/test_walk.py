@@ -23,7 +23,6 @@ from rigs.logs.driver_logs import (
     UR_CONSTANTS,
     so101_data_set,
 )
-from robot_sysid.motion.search import Design
 from robot_sysid.parser import load_robot_model
 
 JOINT = 'range="-2 2" armature=".02"'
@@ -49,19 +48,6 @@ def folder(tmp_path, monkeypatch):
     path.mkdir()
     monkeypatch.chdir(path)
     return path
-
-
-@pytest.fixture
-def short_search(monkeypatch):
-    """Plans are hardly searched for: only what is printed counts."""
-
-    few = {"draws": 3, "rounds": 1, "iterations": 3}
-    whole = Design.__init__
-
-    def shortened(self, problem, options, *others):
-        whole(self, problem, replace(options, **few), *others)
-
-    monkeypatch.setattr(Design, "__init__", shortened)
 
 
 def require_done(walk, wanted):
@@ -110,14 +96,14 @@ def small_arm():
     return path, TrueArm(load_robot_model(path))
 
 
-def test_from_a_log_to_the_file_to_use(short_search):
+def test_from_a_log_to_the_file_to_use():
     steps = walk_from_log(*small_arm(), runs_remedies=False)
     assert steps[1].line == "robot-sysid identify 'it'\"'\"'s.xml' 'first log.csv'"
     # The tool of its first log is weighed by difference.
     assert len(steps) == 3
 
 
-def test_from_a_self_test_to_the_file_to_use(short_search):
+def test_from_a_self_test_to_the_file_to_use():
     path, arm = small_arm()
     walk = Walk(arm)
     walk.follow(shlex.join(["robot-sysid", str(path)]))
@@ -126,7 +112,7 @@ def test_from_a_self_test_to_the_file_to_use(short_search):
     assert names[1:] == ["plan", "identify", "payload"]
 
 
-def test_the_second_motion_that_is_proposed_makes_the_file_better(short_search):
+def test_the_second_motion_that_is_proposed_makes_the_file_better():
     """At least half as much as its sentence says."""
     path, _ = small_arm()
     arm = TrueArm(load_robot_model(path), carries=False)
@@ -149,7 +135,7 @@ def test_the_second_motion_that_is_proposed_makes_the_file_better(short_search):
 
 
 @pytest.mark.slow
-def test_from_a_gripper_to_its_card(short_search):
+def test_from_a_gripper_to_its_card():
     steps = walk_from_gripper(*small_arm())
     assert len(steps) == 2
 
@@ -158,7 +144,7 @@ def test_from_a_gripper_to_its_card(short_search):
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize(("model", "joint"), ZOO)
-def test_public_arms_are_led_to_the_file_and_to_the_card(short_search, model, joint):
+def test_public_arms_are_led_to_the_file_and_to_the_card(model, joint):
     path = MODELS / model
     options = () if joint is None else ("--joint", joint)
     arm = TrueArm(load_robot_model(path, joint=joint))
@@ -169,7 +155,7 @@ def test_public_arms_are_led_to_the_file_and_to_the_card(short_search, model, jo
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("log", DRIVER_LOGS, ids=lambda log: log.name)
-def test_a_drivers_recording_leads_to_the_file(short_search, log):
+def test_a_drivers_recording_leads_to_the_file(log):
     if log.model and not MODELS.is_dir():
         pytest.skip("the public models are not here")
     robot = log.robot(Path())
@@ -182,7 +168,7 @@ def test_a_drivers_recording_leads_to_the_file(short_search, log):
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize("log", UNWEIGHED_LOGS, ids=lambda log: log.name)
-def test_motor_currents_lead_over_a_known_mass_to_the_file(short_search, log):
+def test_motor_currents_lead_over_a_known_mass_to_the_file(log):
     """Nothing is fitted to currents before a known mass has shown what an ampere is worth."""
 
     def record_again(path, load):
@@ -202,7 +188,7 @@ def test_motor_currents_lead_over_a_known_mass_to_the_file(short_search, log):
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not SO101.exists(), reason="the public models are not here")
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_positions_and_goals_of_a_servo_arm_lead_to_the_file(short_search, version):
+def test_positions_and_goals_of_a_servo_arm_lead_to_the_file(version):
     arm = TrueArm(load_robot_model(SO101))
     walk = walk_from_recording(so101_data_set(Path(), version), SO101, arm)
     assert walk.refused == walk.steps[:1]

@@ -37,6 +37,9 @@ REFUSED = 2
 """Exit code of a command that was refused because of its input."""
 _PUNCTUATION = set("();<>|&")
 """Characters that mean something to a shell where they are not quoted."""
+HASTE = ("--excitation-time-budget", "1e-6", "--seed", "1")
+"""Options of somebody who plans in a hurry: the first motion that keeps all limits is played, which
+is the same one on any machine."""
 
 
 class TrueArm:
@@ -94,10 +97,16 @@ class Step:
     output: str
 
 
+def in_haste(words: list[str]) -> list[str]:
+    """Return the words of a command; those of a plan with ``HASTE``."""
+    return [*words, *HASTE] if words[0] == "plan" else words
+
+
 def run_here(line: str) -> tuple[int, str]:
     """Run a command line in this process; return its exit code and all that it printed.
 
-    The code is 127, as of a shell, where the line is none that a shell takes for one command.
+    The code is 127, as of a shell, where the line is none that a shell takes for one command. Plans
+    are hardly searched for, because only what is printed counts.
     """
     lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
     lexer.whitespace_split = True
@@ -105,7 +114,7 @@ def run_here(line: str) -> tuple[int, str]:
         return 127, "syntax error"
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-        code = main(shlex.split(line)[1:])
+        code = main(in_haste(shlex.split(line)[1:]))
     return code, output.getvalue()
 
 

@@ -51,6 +51,16 @@ class CheckedPlan:
         broken = excess_text(self.check.excesses[0])
         return f"this trajectory must not be run: it breaks the {broken}"
 
+    def contact_at_start(self) -> str | None:
+        """Return the two bodies that come too near each other on the straight way from the model's
+        pose to the trajectory's start; None where none do, or where nothing plays it.
+        """
+        if self.problem is None:
+            return None
+        from robot_sysid.motion.starts import contact_on_the_way
+
+        return contact_on_the_way(self.problem, self.plan.evaluate(np.zeros(1)).q[0])
+
 
 def design_motion(
     config: MotionConfig, robot: RobotModel, progress: Progress

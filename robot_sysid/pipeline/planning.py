@@ -45,6 +45,7 @@ what is promised of a file changes by as much with other made-up motions."""
 
 if TYPE_CHECKING:
     from robot_sysid.motion.prediction import Prediction
+    from robot_sysid.motion.problem import ExcitationProblem
     from robot_sysid.pipeline.motors import MotionChunk, WeightChunk
 
 
@@ -77,15 +78,21 @@ def predict_plan(
     return prediction, lines
 
 
-def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> Written:
+def write_plan(
+    config: PlanConfig,
+    robot: RobotModel,
+    checked: CheckedPlan,
+    prediction: Prediction | None,
+    lines: Sequence[str],
+) -> Written:
     """Write a planned motion, unless it breaks a limit, and return what was written.
 
     Args:
         config: names the files, and says what the motion is for.
         robot: the arm.
         checked: the motion with its limit check.
+        prediction, lines: what to expect of the motion, and lines on it, see ``predict_plan``.
     """
-    prediction, lines = predict_plan(config, checked)
     failure = checked.failure
     shortfall = purpose_shortfall(config, prediction)
     paths: tuple[Path, ...] = ()
@@ -100,8 +107,9 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
                 config, robot, checked.plan, files, config.output.output_dir
             )
         paths += motor_paths
-        lines += clamping
-        verdict = [plan_verdict(shortfall, plan_conditions(checked))]
+        lines = [*lines, *clamping]
+        conditions = plan_conditions(checked.problem, checked.contact_at_start())
+        verdict = [plan_verdict(shortfall, conditions)]
         if not shortfall:
             step = _step_after(config, arm_motors(config.motors, robot))
             verdict += step.lines()
@@ -152,15 +160,18 @@ def plan_verdict(shortfall: str, conditions: Sequence[str]) -> str:
     return "Usable: play it on the arm, slowly at first, then record it as planned"
 
 
-def plan_conditions(checked: CheckedPlan) -> list[str]:
-    """Return what has to be done before a motion is played, each with its reason."""
-    from robot_sysid.motion.starts import contact_on_the_way
+def plan_conditions(
+    problem: ExcitationProblem | None, contact: str | None
+) -> list[str]:
+    """Return what has to be done before a motion is played, each with its reason.
 
-    problem = checked.problem
+    Args:
+        problem: the arm and the limits that the motion has to keep; None where nothing plays it.
+        contact: what is in the way to its start, see ``CheckedPlan.contact_at_start``.
+    """
     if problem is None:
         return []
     conditions = []
-    contact = contact_on_the_way(problem, checked.plan.evaluate(np.zeros(1)).q[0])
     if contact is not None:
         conditions.append(
             "the arm has been brought to the start of this motion another way: the straight way "

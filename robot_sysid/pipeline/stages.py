@@ -28,7 +28,12 @@ from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.next_steps import step_after
-from robot_sysid.pipeline.planning import draft_motor_file, draft_plan, write_plan
+from robot_sysid.pipeline.planning import (
+    draft_motor_file,
+    draft_plan,
+    predict_plan,
+    write_plan,
+)
 from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
@@ -73,7 +78,8 @@ def run(config: Config, progress: Progress | None = None) -> Written:
         if isinstance(config, PlanConfig):
             with ignore_repeated_ctrl_c():
                 checked = design_motion(config, robot, progress)
-                return write_plan(config, robot, checked)
+                predicted = predict_plan(config, checked)
+                return write_plan(config, robot, checked, *predicted)
         result, plan = identify(config, robot, progress)
         return write_results(config, result, progress, plan)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401 - brings threads of its own, which are counted from here on
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import robot_sysid as rs
 from rigs.arms import small_arms
-from robot_sysid.api import calls
 from robot_sysid.api.results import one_thread
 
 LIBRARIES = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
@@ -42,14 +42,20 @@ def test_there_is_one_inside_and_afterwards_what_was_there():
 
 
 def test_a_function_works_in_one(monkeypatch, arm_file):
+    """All linear algebra that it asks for."""
     thread_counts = []
-    identify = calls.stages.identify
 
-    def identify_and_count(*arguments):
-        """Identify, and keep the threads that this had."""
-        thread_counts.append(counts())
-        return identify(*arguments)
+    def counted(function):
+        """The function, which keeps the threads that it had."""
 
-    monkeypatch.setattr(calls.stages, "identify", identify_and_count)
+        def count_and_call(*arguments, **options):
+            thread_counts.append(counts())
+            return function(*arguments, **options)
+
+        return count_and_call
+
+    for name in ("cholesky", "eigvalsh", "qr", "svd"):
+        monkeypatch.setattr(np.linalg, name, counted(getattr(np.linalg, name)))
     rs.self_test(arm_file(small_arms.THREE), duration=1.0, seed=1)
-    assert thread_counts == [{1}] and counts() == {2}
+    assert thread_counts and thread_counts == [{1}] * len(thread_counts)
+    assert counts() == {2}

@@ -7,20 +7,6 @@ import pytest
 from rigs.arms import small_arms
 from rigs.motors.clocks import heard_signals
 from rigs.motors.damiao_rig import MotorBus
-from robot_sysid.motion.prediction import limit_lines, motion_lines
-from robot_sysid.pipeline import planning
-
-
-@pytest.fixture
-def without_prediction(monkeypatch):
-    """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
-
-    def predict_plan(config, checked):
-        motion = checked.problem, checked.plan, checked.check
-        return None, [*limit_lines(*motion), *motion_lines(*motion)]
-
-    monkeypatch.setattr(planning, "predict_plan", predict_plan)
-    monkeypatch.setattr(planning, "purpose_shortfall", lambda *_: "")
 
 
 @pytest.fixture

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rigs.arms import small_arms
+from rigs.arms.walk import in_haste
 from rigs.arms.wrong_arms import resting_torque
 from rigs.files.command_line import fail, succeed
 from rigs.motors.damiao_rig import fault, trajectory_file
 from robot_sysid.cli import main
 from robot_sysid.damiao.protocol import Register
-from robot_sysid.motion.search import Design
 
 SETUP = "setup --channel can0"
 MODEL = small_arms.serial_arm(
@@ -31,18 +30,6 @@ def model(tmp_path, monkeypatch):
     return path
 
 
-@pytest.fixture
-def short_search(monkeypatch, without_prediction):
-    """Plans are hardly searched for: only what is printed counts."""
-    few = {"draws": 3, "rounds": 1, "iterations": 3}
-    whole = Design.__init__
-
-    def shortened(self, problem, options, *others):
-        whole(self, problem, replace(options, **few), *others)
-
-    monkeypatch.setattr(Design, "__init__", shortened)
-
-
 def step_in(out):
     """Return the words of the command that is printed last, without the program's name."""
     sentence, line = out.splitlines()[-2:]
@@ -52,7 +39,7 @@ def step_in(out):
 
 def run(capsys, words, codes=(0,)):
     """Run the words of a command; return its output."""
-    code = main(words)
+    code = main(in_haste(words))
     out, err = capsys.readouterr()
     assert code in codes, err
     return out
@@ -81,9 +68,7 @@ def test_without_a_model_the_motors_are_watched(capsys, bus, model):
 
 
 @pytest.mark.slow
-def test_from_the_motors_over_the_planned_motion_to_the_check(
-    capsys, bus, model, short_search
-):
+def test_from_the_motors_over_the_planned_motion_to_the_check(capsys, bus, model):
     """With the model a motion is planned for the types that the registers tell; then it is used."""
     words = step_in(succeed(capsys, *SETUP.split(), "--model", model))
     assert words[:2] == ["plan", str(model)]

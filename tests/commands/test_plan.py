@@ -85,7 +85,6 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     assert rows[-1].startswith("6.0")
 
 
-@pytest.mark.usefixtures("without_prediction")
 def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
     command, arm_file, monkeypatch
 ):
@@ -111,7 +110,6 @@ def export(joints):
     return ("--export-damiao", *(MOTOR * joints), "--sample-rate 100")
 
 
-@pytest.mark.usefixtures("without_prediction")
 def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     path = arm_file(small_arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
     command.run("plan", path, *SINES, "--save-trajectory plan.json")
@@ -122,7 +120,6 @@ def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     assert not OUT.exists()
 
 
-@pytest.mark.usefixtures("without_prediction")
 def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     command, arm_file
 ):

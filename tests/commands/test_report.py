@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from dataclasses import replace
 
 import pytest
 
 from rigs.arms import small_arms
 from rigs.files.command_line import OUT
 from rigs.logs import measured_logs
+from robot_sysid.config import SelfTestConfig
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.report import page, runs
+from robot_sysid.pipeline.stages import identify, load_arm, write_results
+from robot_sysid.records.messages import Progress
 from robot_sysid.report.runs import load_run
 
 RUN = ("--duration 2 --sample-rate 100 --seed 1",)
@@ -40,41 +43,47 @@ def test_a_missing_library_is_said_before_the_run(command, arm, monkeypatch):
     assert "pip install" in printed.err
 
 
-def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch):
+def test_data_of_a_run_never_pass_for_those_of_another(command, arm):
     """A second run that ends while the first still counts its residuals."""
-    save_data = runs.save_data
+    options = {"duration": 2.0, "sample_rate": 100.0, "seed": 1}
+    config = SelfTestConfig.of(arm, plant_model=arm, **options)
+    silent = Progress()
+    result, plan = identify(config, load_arm(config, silent), silent)
 
-    def slowly(*arguments):
+    def slowly():
         (OUT / "params.json").write_text((OUT / "params.json").read_text() + "\n")
-        save_data(*arguments)
+        return result.traces()
 
-    monkeypatch.setattr(runs, "save_data", slowly)
-    command.run(arm, "--plant-model", arm, *RUN)
+    write_results(config, replace(result, traces=slowly), silent, plan)
     assert (OUT / "report_data.npz").is_file() and not (OUT / "report.html").exists()
     run = load_run(OUT)
     assert run.traces is None and "belongs to another run" in run.missing
 
 
 @pytest.mark.parametrize(
-    ("module", "name", "option", "code", "message"),
+    ("call", "option", "code", "message"),
     [
         (
-            page,
-            "write_report",
+            "jinja2.Environment.get_template",
             "--report",
             1,
             "the results are written, but the report is not",
         ),
-        (runs, "save_data", "--no-friction", 0, "nothing was left for a later report"),
+        (
+            "numpy.savez_compressed",
+            "--no-friction",
+            0,
+            "nothing was left for a later report",
+        ),
     ],
 )
 def test_a_report_that_fails_leaves_the_results(
-    command, arm, monkeypatch, module, name, option, code, message
+    command, arm, monkeypatch, call, option, code, message
 ):
     def fail(*_, **__):
         raise OSError("ink is out")
 
-    monkeypatch.setattr(module, name, fail)
+    monkeypatch.setattr(call, fail)
     printed = command.run(arm, "--plant-model", arm, *RUN, option, code=code)
     assert message in printed.err and "ink is out" in printed.err
     assert "Results saved" in printed.out

@@ -50,7 +50,6 @@ CHECKED = {
 }
 
 
-@pytest.mark.usefixtures("without_prediction")
 @pytest.mark.parametrize("case", CHECKED)
 def test_where_a_limit_is_broken_nothing_is_written_or_called_good(
     case, command, arm, monkeypatch

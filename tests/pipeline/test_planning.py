@@ -1,18 +1,21 @@
 """The planning stage: the torque that motors are sent, and when a motion may be played."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rigs.arms import small_arms
+from rigs.arms.excitation_arms import tube_arm
+from rigs.arms.small_arms import X, Y, Z
 from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.motion import starts
+from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.prediction import ExpectedFile, Prediction
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline import planning
 from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.motors import arm_motors
 from robot_sysid.pipeline.planning import (
@@ -25,6 +28,7 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.trajectory import SineTrajectory
 
+WALL = '<body name="wall" pos=".55 0 .75"><geom type="box" size=".02 .6 .9"/></body>'
 XML = small_arms.serial_arm(
     (small_arms.Z, small_arms.Y), joint='range="-2 2" frictionloss=".4"'
 )
@@ -109,13 +113,30 @@ def expected(before, after):
     ],
 )
 def test_the_step_after_a_motion_that_is_not_ready_does_not_play_it(
-    robot, tmp_path, monkeypatch, prediction, verdict
+    robot, tmp_path, prediction, verdict
 ):
-    monkeypatch.setattr(planning, "predict_plan", lambda *_: (prediction, []))
     config = PlanConfig.of(robot.path, output_dir=tmp_path)
-    written = write_plan(config, robot, CheckedPlan(still()))
+    written = write_plan(config, robot, CheckedPlan(still()), prediction, [])
     assert written.verdict[0].startswith(verdict)
     assert (written.result["next_step"] is None) == verdict.startswith("Not ready")
+
+
+def test_a_start_behind_a_wall_is_a_condition(arm_file, tmp_path):
+    """A wall stands between an arm that leans left and the pose where it leans right."""
+    left, right = ((0.0, lean, 0.0, 0.0) for lean in (-0.9, 0.9))
+    robot = load_robot_model(arm_file(tube_arm((Z, Y, X, Y), WALL)))
+    qpos = robot.reference_qpos.copy()
+    qpos[robot.qpos_index] = left
+    robot = replace(robot, reference_qpos=qpos)
+    problem = build_problem(robot, LimitOptions())
+    config = PlanConfig.of(robot.path, output_dir=tmp_path)
+    for start, begin in ((left, "Usable: "), (right, "Usable once the arm has been ")):
+        plan = SineTrajectory(np.array(start), *np.zeros((3, 4, 1)), 4.0, fade=1.0)
+        checked = CheckedPlan(plan, problem)
+        written = write_plan(config, robot, checked, predicted(0.1), [])
+        assert written.verdict[0].startswith(begin)
+    assert "is not free, by the clearance of " in written.verdict[0]
+    assert "wall" in written.verdict[0]
 
 
 def test_the_answer_has_what_is_expected_of_the_file():
@@ -143,11 +164,10 @@ def test_the_answer_has_what_is_expected_of_the_file():
     ],
 )
 def test_a_plan_is_usable_once_what_was_not_checked_is(
-    monkeypatch, contact, n_unguarded, lacks_meshes, phrases
+    contact, n_unguarded, lacks_meshes, phrases
 ):
-    monkeypatch.setattr(starts, "contact_on_the_way", lambda *_: contact)
     arm = SimpleNamespace(lacks_meshes=lacks_meshes)
     problem = SimpleNamespace(robot=arm, n_joints=6, unguarded=range(n_unguarded))
-    verdict = plan_verdict("", plan_conditions(CheckedPlan(still(), problem)))
+    verdict = plan_verdict("", plan_conditions(problem, contact))
     assert all(phrase in verdict for phrase in phrases)
     assert verdict.startswith("Usable once ") is bool(phrases)
