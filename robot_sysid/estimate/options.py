@@ -58,7 +58,8 @@ class Priors(OptionRecord):
         None,
         "how far each joint's torque scale may be off, one number or one per joint",
         "P [%] >= 0",
-        default_text="2; 3 of payloads; what a file of torque scales says of itself",
+        default_text="2; 3 of payloads, 40 with a known mass; what a file of torque scales says of "
+        "itself",
     )
     zero: float = option(
         usual_errors.ZERO,

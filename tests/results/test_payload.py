@@ -11,7 +11,11 @@ from rigs.logs.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
 from robot_sysid import spatial
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.estimate.payload import contradiction, written_payload
+from robot_sysid.estimate.payload import (
+    contradiction,
+    torque_scale_rows,
+    written_payload,
+)
 from robot_sysid.estimate.restricted_fit import errors_of, fit_file
 from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.records import Flange
@@ -106,6 +110,27 @@ def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(
     before = errors_of(file).before, errors_of(kept).before
     assert before[0].rmse_per_joint == before[1].rmse_per_joint
     assert validation(file).relative_error < validation(kept).relative_error
+
+
+def test_a_known_mass_identifies_scales_from_wherever_they_start():
+    """Constants of motors are guesses before, a quarter off and more."""
+    scales = np.array([1.0, 0.75, 1.3, 0.8])
+    arm = TrueArm(ROBOT, 5, model_error=0.03, scales=scales)
+    logs = arm.abba(5, sigma=0.5)
+    mass = float(PAYLOAD[0])
+    fitted = fit_recordings(ROBOT, logs, loaded=True, known_mass=mass)
+    nearly = [replace(log, tau=log.tau / scales) for log in logs]
+    right = fit_recordings(ROBOT, nearly, loaded=True, known_mass=mass)
+    found, again = (
+        [row.value for row in torque_scale_rows(fit, start)]
+        for fit, start in ((fitted, np.ones(4)), (right, scales))
+    )
+    errors = np.array([row.error for row in torque_scale_rows(fitted, np.ones(4))])
+    # Joints along gravity show nothing of it.
+    is_shown = errors < 0.1
+    assert np.count_nonzero(is_shown) >= 2
+    assert np.max(np.abs(found - scales)[is_shown] / errors[is_shown]) < 3.0
+    assert_allclose(found, again, atol=float(np.max(0.5 * errors)))
 
 
 @pytest.mark.parametrize("is_right", [True, False])
