@@ -355,7 +355,7 @@ class OwnSession(Session):
         return self._loaded if self.options.files.model else None
 
     @property
-    def _problem(self):
+    def problem(self):
         return _problem_of(self._loaded, self.options.limits)
 
     @contextlib.contextmanager

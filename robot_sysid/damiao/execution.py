@@ -274,12 +274,12 @@ class MotorRun:
         if self.robot is not None:
             from robot_sysid.damiao.checks.model import contact_checks, torque_checks
 
-            checks += contact_checks(plan, self._problem)
+            checks += contact_checks(plan, self.problem)
             checks += torque_checks(plan, self.robot)
         return checks
 
     @cached_property
-    def _problem(self) -> Any:
+    def problem(self) -> Any:
         """Geometry of the model's arm and the user's obstacles (ExcitationProblem)."""
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.motion.problem import build_problem
@@ -298,7 +298,7 @@ class MotorRun:
         if self.robot is not None and np.all(np.isfinite(q)):
             from robot_sysid.damiao.checks.model import transfer_checks
 
-            checks += transfer_checks(self._problem, q, plan.trajectory.q[0])
+            checks += transfer_checks(self.problem, q, plan.trajectory.q[0])
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
