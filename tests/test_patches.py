@@ -14,9 +14,6 @@ FOLDERS = (ROOT / "tests", ROOT / "rigs")
 # Patches that are still to be mended, by file: what each puts in the place of the real thing. An
 # entry goes with its patch; none is added.
 LEFT = {
-    "rigs/motors/damiao_rig.py: execution: 'SystemClock'",
-    "rigs/motors/damiao_rig.py: execution: 'open_bus'",
-    "rigs/motors/damiao_rig.py: plant: 'ArmStepper'",
     "tests/api/test_api.py: 'robot_sysid.results.identification.errors_on': errors_on",
     "tests/api/test_api.py: calls: 'predict_plan'",
     "tests/api/test_motors.py: calls: 'predict_plan'",
@@ -24,15 +21,9 @@ LEFT = {
     "tests/commands/conftest.py: planning: 'predict_plan'",
     "tests/commands/conftest.py: planning: 'purpose_shortfall'",
     "tests/commands/test_log.py: gate: 'judge'",
-    "tests/commands/test_motors.py: SystemClock: 'now'",
-    "tests/commands/test_motors.py: SystemClock: 'sleep_until'",
-    "tests/commands/test_motors.py: parser: 'load_robot_model'",
     "tests/commands/test_motors_steps.py: Design: '__init__'",
     "tests/commands/test_report.py: runs: 'save_data'",
     "tests/commands/test_run.py: CheckedPlan: 'failure'",
-    "tests/damiao/test_floating.py: Console: 'stage'",
-    "tests/damiao/test_floating.py: Floating: 'follow'",
-    "tests/damiao/test_floating.py: holding: 'measure_drift'",
     "tests/estimate/test_bodies.py: bodies: '_by_cone'",
     "tests/estimate/test_rows.py: rows_module: 'ARRAY_SIZE'",
     "tests/pipeline/test_comparison.py: comparison: 'judge'",

@@ -40,13 +40,13 @@ from robot_sysid.damiao.trajectory import (
 )
 from robot_sysid.records import Limits
 from robot_sysid.records.file_access import atomic_file
-from robot_sysid.simulation import plant
-from robot_sysid.simulation.plant import ArmStepper
 
 INERTIA = 0.1
 GRAVITY = 2.0
 # Register of the code of the bit rate: above 4 a motor answers in CAN-FD.
 BIT_RATE = 35
+COARSE_STEP = 4e-3
+"""Step of simulated arms of models [s]; a step of the usual size takes as long."""
 
 
 # --- motions and files ----------------------------------------------------------------------------
@@ -485,11 +485,6 @@ def only_asks(sent):
     return all(f.id == protocol.REGISTER_ID and f.data[2] in asking for f in sent)
 
 
-def with_coarse_physics(monkeypatch):
-    """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
-    monkeypatch.setattr(plant, "ArmStepper", partial(ArmStepper, timestep=4e-3))
-
-
 @cache
 def freeze_heap():
     """Let later garbage collections, of which each run begins with two, skip what is loaded now."""
@@ -569,11 +564,10 @@ class MotorBus:
         """Do something some time [s] from now."""
         self.clock.at(self.clock.now() + delay, action)
 
-    def open_for_commands(self, monkeypatch):
-        """Let commands open this bus in place of a real one, with its clock."""
-        monkeypatch.setattr(execution, "SystemClock", lambda: self.clock)
-        monkeypatch.setattr(execution, "open_bus", lambda *_: self.wire)
-        return self
+    @property
+    def equipment(self):
+        """The equipment of runs that find this bus in place of a real one, with its clock."""
+        return execution.Equipment(self.clock, lambda *_: self.wire, COARSE_STEP)
 
     def open_session(self, limits=None):
         """Return a session of all motors."""

@@ -10,10 +10,12 @@ import pytest
 
 import robot_sysid as rs
 from rigs.arms import small_arms
-from rigs.motors.damiao_rig import MotorBus, swing, trajectory_file, with_coarse_physics
+from rigs.motors.damiao_rig import MotorBus, swing, trajectory_file
 from rigs.motors.recordings import read_recording
 from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
+from robot_sysid.damiao import play_run
+from robot_sysid.damiao.execution import MotorRun, RunOptions
 from robot_sysid.damiao.protocol import DISABLED
 
 
@@ -25,11 +27,6 @@ def model(arm_file):
 @pytest.fixture
 def trajectory(tmp_path):
     return trajectory_file(tmp_path, swing(2, duration=0.5, amplitude=0.05)).path
-
-
-@pytest.fixture(autouse=True)
-def quickly(monkeypatch):
-    with_coarse_physics(monkeypatch)
 
 
 def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
@@ -87,12 +84,13 @@ def test_what_cannot_be_used_is_said(trajectory, message):
     assert str(caught.value).startswith(message)
 
 
-def test_an_arm_is_moved_from_any_thread(trajectory, monkeypatch):
+def test_an_arm_is_moved_from_any_thread(trajectory):
     """Signals are for the main thread; a run does not need them."""
-    bus = MotorBus(watchdog=0.5, echo=True).open_for_commands(monkeypatch)
+    bus = MotorBus(watchdog=0.5, echo=True)
     reports = []
-    options = {"channel": "can0", "rate": 50}
-    play = lambda: reports.append(rs.motors.play(trajectory, **options))  # noqa: E731
+    options = RunOptions.of({"trajectory": trajectory, "channel": "can0", "rate": 50.0})
+    run = MotorRun(options, bus.equipment)
+    play = lambda: reports.append(play_run(run, False, print))  # noqa: E731
     thread = threading.Thread(target=play)
     thread.start()
     thread.join()
