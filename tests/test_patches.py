@@ -15,8 +15,6 @@ FOLDERS = (ROOT / "tests", ROOT / "rigs")
 # entry goes with its patch; none is added.
 LEFT = {
     "tests/api/test_api.py: 'robot_sysid.results.identification.errors_on': errors_on",
-    "tests/api/test_api.py: calls: 'predict_plan'",
-    "tests/api/test_motors.py: calls: 'predict_plan'",
     "tests/api/test_threads.py: calls.stages: 'identify'",
     "tests/commands/conftest.py: planning: 'predict_plan'",
     "tests/commands/conftest.py: planning: 'purpose_shortfall'",

@@ -12,7 +12,6 @@ import robot_sysid as rs
 from rigs.arms import small_arms
 from rigs.motors.damiao_rig import MotorBus, swing, trajectory_file
 from rigs.motors.recordings import read_recording
-from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
 from robot_sysid.damiao import play_run
 from robot_sysid.damiao.execution import MotorRun, RunOptions
@@ -50,9 +49,7 @@ def test_a_simulated_arm_is_the_models_where_that_is_named(trajectory, model, tm
     assert recordings[0] == recordings[1] != recordings[2]
 
 
-def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path, monkeypatch):
-    # What an estimate will know is slow to tell.
-    monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, ()))
+def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path):
     motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
     plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)
     report = rs.motors.play(plan, simulate=True, rate=50)
