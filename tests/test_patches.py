@@ -21,7 +21,6 @@ LEFT = {
     "tests/commands/test_log.py: gate: 'judge'",
     "tests/commands/test_motors_steps.py: Design: '__init__'",
     "tests/commands/test_report.py: runs: 'save_data'",
-    "tests/commands/test_run.py: CheckedPlan: 'failure'",
     "tests/estimate/test_bodies.py: bodies: '_by_cone'",
     "tests/estimate/test_rows.py: rows_module: 'ARRAY_SIZE'",
     "tests/pipeline/test_comparison.py: comparison: 'judge'",

@@ -221,9 +221,7 @@ def test_a_simulated_arm_is_moved_and_the_printed_command_moves_the_real_one(
 
 
 @pytest.mark.slow
-def test_an_arm_that_is_not_its_model_s_is_stopped_and_held(
-    motors, bus, arm_file, monkeypatch
-):
+def test_an_arm_that_is_not_its_model_s_is_stopped_and_held(motors, bus, arm_file):
     """Its model is a tenth as heavy: it sags from its path, and is stopped as by play."""
     light = MODEL.replace('mass="1.2"', 'mass=".02"').replace('mass=".8"', 'mass=".01"')
     light = re.sub('fullinertia="[^"]*"', 'diaginertia=".001 .001 .001"', light)
