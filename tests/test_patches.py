@@ -76,8 +76,8 @@ def faults(source: str) -> Iterator[str]:
                 yield f"{target}: {ast.unparse(named)}".replace("lambda :", "lambda:")
 
 
-OWN = "self", "super()"
-"""What a method calls its object."""
+OWN = "self", "super"
+"""By what a method reaches its object."""
 
 
 class ClassOf(NamedTuple):
@@ -118,8 +118,10 @@ def own_names(class_node: ast.ClassDef) -> Iterator[str]:
     for node in ast.walk(class_node):
         if isinstance(node, ast.FunctionDef):
             yield node.name
-        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) in OWN:
-            yield node.attr
+        elif isinstance(node, ast.Attribute):
+            owner = node.value.func if isinstance(node.value, ast.Call) else node.value
+            if isinstance(owner, ast.Name) and owner.id in OWN:
+                yield node.attr
 
 
 def reached(classes: dict[tuple[str, str], ClassOf]) -> Iterator[str]:
