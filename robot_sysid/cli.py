@@ -33,12 +33,13 @@ from robot_sysid.pipeline.motors import motors_required
 from robot_sysid.records.option_fields import suggestion
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = ()) -> int:
     """Run a command and return its exit code, see ``errors.EXIT_CODES``.
 
     Args:
         argv: arguments without the program's name; default those of this process, which is then
             expected to end.
+        commands: commands of a program that calls this one, each in place of the one of its name.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
@@ -58,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return InputError.exit_code
             if arguments == ["motors"]:
                 arguments.append("--help")
-            command = _find_command(arguments)
+            command = _find_command(arguments, commands)
             name = command.name
             interrupted = command.interrupted
             arguments = arguments[len(name.split()) :]
@@ -101,8 +102,10 @@ def _with_columns_file(error: SysidError) -> SysidError:
     return error.with_message(text, error.command_lines)
 
 
-def _find_command(arguments: Sequence[str]) -> Command:
+def _find_command(arguments: Sequence[str], others: Sequence[Command]) -> Command:
     """Return the command with the longest name that the arguments begin with.
+
+    One of ``others`` stands in place of the one of its name.
 
     InputError where the first word resembles a command and is no file.
     """
@@ -114,7 +117,7 @@ def _find_command(arguments: Sequence[str]) -> Command:
     name = COMMANDS.get(word, COMMANDS["identify"])
     with motors_required():
         module = importlib.import_module(f"robot_sysid.commands.{name}")
-    names = {command.name: command for command in module.COMMANDS}
+    names = {command.name: command for command in (*module.COMMANDS, *others)}
     for count in (2, 1):
         name = " ".join(arguments[:count])
         if name in names:

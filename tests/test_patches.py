@@ -1,32 +1,16 @@
-"""Tests use the package by its public face: they patch no attribute of it."""
+"""Tests use the package by its public face: they patch nothing of it, and use no private name."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
-FOLDERS = tuple(
-    Path(__file__).resolve().parents[1] / name for name in ("tests", "rigs")
-)
-# Patches that are still to be mended, by file: what each puts in the place of the real thing. An
-# entry goes with its patch; none is added.
-LEFT = {
-    "rigs/motors/damiao_rig.py: execution: 'SystemClock'",
-    "rigs/motors/damiao_rig.py: execution: 'open_bus'",
-    "rigs/motors/damiao_rig.py: plant: 'ArmStepper'",
-    "tests/api/test_api.py: calls: 'predict_plan'",
-    "tests/api/test_motors.py: calls: 'predict_plan'",
-    "tests/commands/test_motors.py: SystemClock: 'now'",
-    "tests/commands/test_motors.py: SystemClock: 'sleep_until'",
-    "tests/commands/test_motors.py: parser: 'load_robot_model'",
-    "tests/commands/test_run.py: CheckedPlan: 'failure'",
-    "tests/damiao/test_floating.py: Console: 'stage'",
-    "tests/damiao/test_floating.py: Floating: 'follow'",
-    "tests/damiao/test_floating.py: holding: 'measure_drift'",
-}
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = (ROOT / "tests", ROOT / "rigs")
 
 
 def from_package(tree: ast.AST) -> set[str]:
@@ -96,15 +80,101 @@ def faults(source: str) -> Iterator[str]:
                 yield f"{target}: {ast.unparse(named)}".replace("lambda :", "lambda:")
 
 
+OWN = "self", "super"
+"""By what a method reaches its object."""
+
+
+class ClassOf(NamedTuple):
+    """A class: its private names, and its bases, each with the module that it comes from."""
+
+    own: set[str]
+    bases: list[tuple[str, str]]
+
+
+def classes_of(module: str, source: str) -> dict[tuple[str, str], ClassOf]:
+    """The classes of a module, by module and name."""
+    tree = ast.parse(source)
+    origins = {
+        alias.asname or alias.name: (node.module, alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+
+    def origin(base: ast.expr) -> tuple[str, str]:
+        folder, _, name = ast.unparse(base).rpartition(".")
+        if not folder:
+            return origins.get(name, (module, name))
+        return ".".join(origins.get(folder, (folder,))), name
+
+    return {
+        (module, node.name): ClassOf(
+            {name for name in own_names(node) if private(name)},
+            [origin(base) for base in node.bases],
+        )
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+    }
+
+
+def own_names(class_node: ast.ClassDef) -> Iterator[str]:
+    """Names of the methods of a class, and of what its methods take from ``self`` or ``super``."""
+    for node in ast.walk(class_node):
+        if isinstance(node, ast.FunctionDef):
+            yield node.name
+        elif isinstance(node, ast.Attribute):
+            owner = node.value.func if isinstance(node.value, ast.Call) else node.value
+            if isinstance(owner, ast.Name) and owner.id in OWN:
+                yield node.attr
+
+
+def reached(classes: dict[tuple[str, str], ClassOf]) -> Iterator[str]:
+    """Each private name of a class of the package that one outside it, derived from it, uses."""
+
+    def origins(base: tuple[str, str]) -> list[tuple[str, str]]:
+        """Where a base is defined, also where its folder hands it on."""
+        module, name = base
+        if base in classes:
+            return [base]
+        return [key for key in classes if key[1] == name and key[0].startswith(module)]
+
+    def inherited(key: tuple[str, str]) -> set[str]:
+        names = set()
+        for base in classes[key].bases if key in classes else ():
+            for origin in origins(base):
+                if origin[0].startswith("robot_sysid"):
+                    names |= classes[origin].own
+                if origin != key:
+                    names |= inherited(origin)
+        return names
+
+    for (module, name), of_class in classes.items():
+        if not module.startswith("robot_sysid"):
+            for used in sorted(of_class.own & inherited((module, name))):
+                yield f"{module}: {name}.{used}"
+
+
+def module_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts)
+
+
 def test_tests_patch_nothing_of_the_package():
-    root = FOLDERS[0].parent
     found = {
-        f"{path.relative_to(root).as_posix()}: {fault}"
+        f"{path.relative_to(ROOT).as_posix()}: {fault}"
         for folder in FOLDERS
         for path in folder.rglob("*.py")
         for fault in faults(path.read_text(encoding="utf-8"))
     }
-    assert found == set(LEFT)
+    assert found == set()
+
+
+def test_classes_of_tests_use_no_private_name_of_the_class_that_they_derive_from():
+    classes = {}
+    for folder in (*FOLDERS, ROOT / "benchmarks", ROOT / "robot_sysid"):
+        for path in folder.rglob("*.py"):
+            source = path.read_text(encoding="utf-8")
+            classes.update(classes_of(module_of(path), source))
+    assert not list(reached(classes))
 
 
 @pytest.mark.parametrize(
@@ -126,3 +196,39 @@ def test(monkeypatch, module, name):
 def test_a_patch_is_found(source):
     assert len(list(faults(source))) == 1
     assert not list(faults("import os\nmonkeypatch.setattr(os, 'rename', None)"))
+
+
+BASE = """
+class Motor:
+    def answer(self):
+        return self._pack(self._state)
+    def _pack(self, state): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "count"),
+    [
+        ("def _pack(self, state): ...", 1),
+        ("def answer(self): return self._state", 1),
+        ("def answer(self): return super()._pack(0)", 1),
+        ("def answer(self): return super().answer() + self._own", 0),
+    ],
+)
+@pytest.mark.parametrize(
+    "rig",
+    [
+        "from robot_sysid.motors import Motor as Real\nclass Faulty(Real): ...",
+        "from robot_sysid import motors\nclass Faulty(motors.Motor): ...",
+        "from robot_sysid import Motor\nclass Faulty(Motor): ...",
+    ],
+)
+def test_a_private_name_of_a_base_is_found(body, count, rig):
+    """Also where the base is another rig's that derives from it."""
+    use = f"from rigs.motors import Faulty\nclass Worse(Faulty):\n    {body}"
+    classes = {
+        **classes_of("robot_sysid.motors", BASE),
+        **classes_of("rigs.motors", rig),
+        **classes_of("tests.test_motors", use),
+    }
+    assert len(list(reached(classes))) == count

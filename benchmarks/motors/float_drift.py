@@ -17,16 +17,16 @@ import re
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from rigs.arms.walk import run_here
 from rigs.motors.rehearsals import ARMS
+from robot_sysid.commands.motors import commands_with
+from robot_sysid.damiao.execution import Equipment
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array
-from robot_sysid.simulation import plant
 
 WRONG = 0.1
 """Standard deviation of masses, centres of mass and moments of inertia, relative to them."""
@@ -41,6 +41,8 @@ LEVELS = {"as owners have it": 1.0, "a fifth of that": 0.2}
 _OPENARM = ARMS["openarm"]
 _JOINT = _OPENARM.joint
 _MOTORS = " ".join(f"--motor-type {name}" for name in _OPENARM.motors)
+# With physics as fine as needed, and fast.
+_COMMANDS = commands_with(Equipment(physics_step=1e-3))
 # The speed of a joint, or nothing where it stands.
 _DRIFT = re.compile(r"^\S+ (?:stands|drifts at (\S+) deg/s)[^:]*: ", re.MULTILINE)
 
@@ -75,7 +77,7 @@ def write_arm(path: Path, friction: float | None, wrong: float, seed: int) -> Pa
 
 def run(line: str) -> tuple[int, str]:
     """Run a command of robot-sysid; return exit code and output."""
-    return run_here(f"robot-sysid {line}")
+    return run_here(f"robot-sysid {line}", _COMMANDS)
 
 
 def drift(model: Path, truth: Path, pose: Array) -> tuple[str, Array] | None:
@@ -139,8 +141,6 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    # As fine as needed, and fast.
-    plant.ArmStepper = partial(plant.ArmStepper, timestep=1e-3)
     robot = load_robot_model(_OPENARM.model, joint=_JOINT.split()[1])
     middle = 0.5 * (robot.limits.lower + robot.limits.upper)
     half = 0.5 * (robot.limits.upper - robot.limits.lower)

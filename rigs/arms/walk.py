@@ -22,6 +22,7 @@ import numpy as np
 
 from rigs.arms.wrong_arms import truth_of, typical_torque
 from robot_sysid.cli import main
+from robot_sysid.commands.arguments import Command
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.records import Array, MotionPlan, RobotModel
@@ -102,8 +103,10 @@ def in_haste(words: list[str]) -> list[str]:
     return [*words, *HASTE] if words[0] == "plan" else words
 
 
-def run_here(line: str) -> tuple[int, str]:
+def run_here(line: str, commands: Sequence[Command] = ()) -> tuple[int, str]:
     """Run a command line in this process; return its exit code and all that it printed.
+
+    ``commands`` are those of ``cli.main``.
 
     The code is 127, as of a shell, where the line is none that a shell takes for one command. Plans
     are hardly searched for, because only what is printed counts.
@@ -114,7 +117,7 @@ def run_here(line: str) -> tuple[int, str]:
         return 127, "syntax error"
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-        code = main(in_haste(shlex.split(line)[1:]))
+        code = main(in_haste(shlex.split(line)[1:]), commands)
     return code, output.getvalue()
 
 

@@ -49,14 +49,43 @@ def words_of(arguments) -> list[str]:
     return words
 
 
-def run_motors(capsys, *arguments):
-    """Run ``motors``; return exit code, output and the error: one line, and a command below."""
-    code = main(["motors", *words_of(arguments)])
-    out, err = capsys.readouterr()
-    require_names(out + err)
-    text = [line for line in err.splitlines() if not line.startswith("  robot-sysid ")]
-    assert len(text) <= 1, err
-    return code, out, err
+class MotorsCommandLine:
+    """The commands ``motors`` with the equipment of a rig.
+
+    Args:
+        capsys: pytest's capture.
+        equipment: clock and adapters.
+    """
+
+    def __init__(self, capsys, equipment) -> None:
+        self._capsys = capsys
+        self._commands = motors.commands_with(equipment)
+
+    def run_program(self, words):
+        """Run the words behind the program's name; return exit code, output and error."""
+        code = main(words, self._commands)
+        return code, *self._capsys.readouterr()
+
+    def run(self, *arguments):
+        """Run words behind ``motors``; the error is one line, and a command below."""
+        code, out, err = self.run_program(["motors", *words_of(arguments)])
+        require_names(out + err)
+        lines = err.splitlines()
+        text = [line for line in lines if not line.startswith("  robot-sysid ")]
+        assert len(text) <= 1, err
+        return code, out, err
+
+    def succeed(self, *arguments):
+        """What words print that end well, without a word on standard error."""
+        code, out, err = self.run(*arguments)
+        assert (code, err) == (0, ""), err
+        return out
+
+    def fail(self, code, *arguments):
+        """What words say on standard error that end with this exit code."""
+        actual_code, _, err = self.run(*arguments)
+        assert actual_code == code, err
+        return err
 
 
 class CommandLine:
@@ -91,17 +120,3 @@ class CommandLine:
         (error,) = [line for line in lines if not line.startswith(beginnings)]
         assert error.startswith("robot-sysid: error: ")
         return error
-
-
-def succeed(capsys, *arguments):
-    """What a command of motors prints that ends well, without a word on standard error."""
-    code, out, err = run_motors(capsys, *arguments)
-    assert (code, err) == (0, ""), err
-    return out
-
-
-def fail(capsys, code, *arguments):
-    """What a command of motors says on standard error that ends with this exit code."""
-    actual_code, _, err = run_motors(capsys, *arguments)
-    assert actual_code == code, err
-    return err

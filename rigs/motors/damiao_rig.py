@@ -5,7 +5,6 @@ from __future__ import annotations
 import builtins
 import errno
 import gc
-import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -21,7 +20,7 @@ from rigs.motors.recordings import read_recording
 from robot_sysid.damiao import execution, protocol
 from robot_sysid.damiao.bus import GuardedLink, LinkError, inspect_bus
 from robot_sysid.damiao.checks.preflight import bus_checks
-from robot_sysid.damiao.joints import DamiaoJoint, Mounting, damiao_joints
+from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand, Register
 from robot_sysid.damiao.safety.holding import file_holding
@@ -41,13 +40,13 @@ from robot_sysid.damiao.trajectory import (
 )
 from robot_sysid.records import Limits
 from robot_sysid.records.file_access import atomic_file
-from robot_sysid.simulation import plant
-from robot_sysid.simulation.plant import ArmStepper
 
 INERTIA = 0.1
 GRAVITY = 2.0
 # Register of the code of the bit rate: above 4 a motor answers in CAN-FD.
 BIT_RATE = 35
+COARSE_STEP = 4e-3
+"""Step of simulated arms of models [s]; a step of the usual size takes as long."""
 
 
 # --- motions and files ----------------------------------------------------------------------------
@@ -178,13 +177,13 @@ class FaultyMotor(SimulatedMotor):
             return None
         return answer._replace(fd=self.registers.get(BIT_RATE, 0.0) > 4.0)
 
-    def _command_answer(self, data, time):
+    def command_answer(self, data, time):
         self.n_commands += 1
         if self.counts_commands:
             self.temperature_rotor = self.n_commands % 60
-        return super()._command_answer(data, time)
+        return super().command_answer(data, time)
 
-    def _feedback(self):
+    def feedback(self):
         if self.next_answers:
             return self.next_answers.pop(0)
         if self.is_stale and self.last_answer:
@@ -196,25 +195,25 @@ class FaultyMotor(SimulatedMotor):
                 position = frozen
                 velocity = 0.0
         torque = self.torque * self.torque_factor
-        self.last_answer = self._pack(position, velocity, torque)
+        self.last_answer = self.feedback_of(position, velocity, torque)
         return self.last_answer
 
-    def _pack(self, *measured):
-        data = super()._pack(*measured)
+    def feedback_of(self, *measured):
+        data = super().feedback_of(*measured)
         self.n_answers += 1
         if self.false_status is None or self.n_answers % self.false_every:
             return data
         return bytes([self.false_status << 4 | data[0] & 0xF]) + data[1:]
 
-    def _special(self, code):
+    def obey_special(self, code):
         if code == protocol.CLEAR_ERROR:
             self.fail(protocol.DISABLED)
-        super()._special(code)
+        super().obey_special(code)
 
-    def _register_answer(self, data):
+    def register_answer(self, data):
         number = data[3]
         if data[0] != self.can_id or data[2] not in (protocol.WRITE, protocol.STORE):
-            return super()._register_answer(data)
+            return super().register_answer(data)
         if data[2] == protocol.STORE:
             self.stored = dict(self.registers)
             return data
@@ -263,30 +262,23 @@ class FaultyArm(SimulatedArm):
         self.push = np.zeros(mechanism.n_joints)
         self.off_at = np.inf
         self.takes_whole_steps = False
-        self._step = mechanism.step
-        mechanism.step = self._step_truly
-
-    def mount(self):
-        """Mount the motors as their joints say now."""
-        motors = self.motors[: self.mechanism.n_joints]
-        self._mounting = Mounting.of([motor.joint for motor in motors])
 
     def advance(self, until):
-        if self.takes_whole_steps and self._was_enabled:
+        if self.takes_whole_steps and self.was_enabled:
             step = self.mechanism.timestep
             until = self.time + np.floor((until - self.time) / step + 1e-6) * step
         super().advance(until)
 
-    def _step_truly(self, torque, damping, duration):
+    def step(self, torque, damping, duration):
         torque = self._share * torque + self.push
-        self._step(torque, self._share * damping + self._jam, duration)
-        if not np.any(self._limited):
+        super().step(torque, self._share * damping + self._jam, duration)
+        if not np.any(self.drives.driving):
             self.off_at = min(self.off_at, self.time)
         state = self.mechanism.q.copy(), self.mechanism.qd.copy()
         self.truth.append((self.time, *state))
 
-    def _gather(self):
-        super()._gather()
+    def gather(self):
+        drives = super().gather()
         motors = self.motors[: self.mechanism.n_joints]
         rows = [
             (
@@ -302,18 +294,17 @@ class FaultyArm(SimulatedArm):
         self._share, stiff, self._jam, self._error, self._frozen, slip = np.transpose(
             rows
         )
-        self._kp = stiff * self._kp
         # Of motors that turn the other way than their joints, too.
-        self._error, slip = self._mounting.direction * [self._error, slip]
-        self._offset = self._offset - np.where(self._limited, self._kd * slip, 0.0)
-        is_frozen = self._limited & np.isfinite(self._frozen)
-        self._kd = np.where(is_frozen, 0.0, self._kd)
+        self._error, slip = self.mounting.direction * [self._error, slip]
+        is_frozen = drives.driving & np.isfinite(self._frozen)
+        return drives._replace(
+            kp=stiff * drives.kp,
+            offset=drives.offset - np.where(drives.driving, drives.kd * slip, 0.0),
+            kd=np.where(is_frozen, 0.0, drives.kd),
+        )
 
-    def _motor_torques(self, q):
-        if self._changed:
-            self._gather()
-        is_true = np.isnan(self._frozen)
-        return super()._motor_torques(np.where(is_true, q + self._error, self._frozen))
+    def encoded(self, q):
+        return np.where(np.isnan(self._frozen), q + self._error, self._frozen)
 
 
 # Characters of the line of text of a feedback frame that carry a field.
@@ -391,21 +382,18 @@ class FaultyBus(SimulatedLink):
 
     def send_foreign(self, frame, is_seen):
         """Let another program send a frame, which this computer's adapter sees or does not."""
-        has_echo = self._echo
-        self._echo = False
-        self.send(frame)
-        self._echo = has_echo
+        self._require_on()
+        end = self.transmit(frame)
         if is_seen:
-            self._deliver(frame._replace(time=self._free_at))
-
-    def talk(self, begin, frame):
-        """Let somebody send a frame from a moment on [s] at which the bus is free."""
-        heapq.heappush(self._replies, (begin, frame.id, next(self._order), frame))
+            self.deliver(frame._replace(time=end))
 
     def send(self, frame):
+        self._require_on()
+        super().send(frame)
+
+    def _require_on(self):
         if self.is_off:
             raise LinkError("the CAN bus takes no more frames")
-        super().send(frame)
 
     def receive(self, until):
         if not self.is_off:
@@ -413,7 +401,7 @@ class FaultyBus(SimulatedLink):
         self.clock.sleep_until(until)
         return None
 
-    def _deliver(self, frame):
+    def deliver(self, frame):
         if self.route is not None:
             frame = self.route(frame)
             if frame is None:
@@ -432,7 +420,7 @@ class FaultyBus(SimulatedLink):
             except ValueError:
                 # As ``BusLink`` does, pass over a line that is no frame.
                 return
-        super()._deliver(frame)
+        super().deliver(frame)
 
     def _is_feedback(self, frame, j):
         joint = self.arm.motors[j].joint
@@ -495,11 +483,6 @@ def only_asks(sent):
     """Whether none of these frames can move a motor or change what it holds."""
     asking = protocol.READ, protocol.REFRESH
     return all(f.id == protocol.REGISTER_ID and f.data[2] in asking for f in sent)
-
-
-def with_coarse_physics(monkeypatch):
-    """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
-    monkeypatch.setattr(plant, "ArmStepper", partial(ArmStepper, timestep=4e-3))
 
 
 @cache
@@ -581,11 +564,10 @@ class MotorBus:
         """Do something some time [s] from now."""
         self.clock.at(self.clock.now() + delay, action)
 
-    def open_for_commands(self, monkeypatch):
-        """Let commands open this bus in place of a real one, with its clock."""
-        monkeypatch.setattr(execution, "SystemClock", lambda: self.clock)
-        monkeypatch.setattr(execution, "open_bus", lambda *_: self.wire)
-        return self
+    @property
+    def equipment(self):
+        """The equipment of runs that find this bus in place of a real one, with its clock."""
+        return execution.Equipment(self.clock, lambda *_: self.wire, COARSE_STEP)
 
     def open_session(self, limits=None):
         """Return a session of all motors."""

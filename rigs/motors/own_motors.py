@@ -351,6 +351,9 @@ class OwnBus:
         self.clock.sleep_until(frame.time)
         return frame
 
+    def close(self):
+        """There is no adapter to be closed."""
+
     def _let_answer(self, until):
         """Put answers onto the bus that begin before a moment [s]; the lowest id goes first."""
         waiting = self._waiting

@@ -8,7 +8,6 @@ alike to the last bit until the fault begins.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 from collections.abc import Callable
@@ -36,7 +35,6 @@ from rigs.motors.worn_arms import motor_types
 from robot_sysid.commands.motors import play
 from robot_sysid.commands.motors.session import PlayChoices, Session
 from robot_sysid.damiao import execution
-from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SysidError
@@ -345,9 +343,9 @@ class OwnSession(Session):
 
     def __init__(self, values, console, bus, robot):
         choices = record_from(PlayChoices, values)
-        super().__init__(execution.RunOptions.of(values), console, choices)
-        self.clock = bus.clock
-        self._bus = bus
+        equipment = execution.Equipment(bus.clock, lambda *_: bus)
+        options = execution.RunOptions.of(values)
+        super().__init__(options, console, choices, equipment)
         self._loaded = robot
 
     @property
@@ -355,12 +353,8 @@ class OwnSession(Session):
         return self._loaded if self.options.files.model else None
 
     @property
-    def _problem(self):
+    def problem(self):
         return _problem_of(self._loaded, self.options.limits)
-
-    @contextlib.contextmanager
-    def open_guarded(self, *refuses):
-        yield GuardedLink(self._bus, self.clock, self.options.timing.fd, *refuses)
 
 
 @cache

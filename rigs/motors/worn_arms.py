@@ -52,23 +52,23 @@ class WornStepper(ArmStepper):
     def __init__(self, robot, q, typical, rng):
         super().__init__(robot, q, 2.0 * PHYSICS_STEP)
         for link, theta in zip(robot.links, wrong_links(robot, rng)):
-            write_link(self._model, link, theta)
-        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+            write_link(self.model, link, theta)
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
         n = robot.n_joints
         dofs = robot.dof_index
-        self._model.dof_armature[dofs] += rng.uniform(0.002, 0.02, n)
+        self.model.dof_armature[dofs] += rng.uniform(0.002, 0.02, n)
         self._dry = typical * rng.uniform(0.02, 0.1, n)
         self._at_rest = self._dry * rng.uniform(0.2, 0.6, n)
         self._loss = rng.uniform(0.02, 0.06, n)
-        self._viscous = self._viscous + typical * rng.uniform(0.0, 0.1, n)
-        self._known = self._coulomb
+        self.viscous = self.viscous + typical * rng.uniform(0.0, 0.1, n)
+        self._known = self.coulomb
 
     def step(self, torque, damping, duration=None):
         load = np.abs(torque - damping * self.qd)
         rest = self._at_rest * np.exp(-np.abs(self.qd) / FADING)
         dry = self._dry + rest + self._loss * load
-        self._coulomb = self._known.copy()
-        self._coulomb[: self.n_joints] += dry
+        self.coulomb = self._known.copy()
+        self.coulomb[: self.n_joints] += dry
         return super().step(torque, damping, duration)
 
 

@@ -115,22 +115,26 @@ def play(
             from robot_sysid.api.calls import path_of
 
             values["model"] = path_of(model)
-        run_options = execution.RunOptions.of(values)
-        run = execution.MotorRun(run_options)
-        stated_plan = run.plan()
-        with recorded_plan(stated_plan) as plan:
-            opened = run.open_simulated(plan) if simulate else run.open_guarded()
-            with opened as link:
-                inspection = inspect_bus(link)
-                # The signs of a simulated arm's motors are not in doubt.
-                checks = run.inspection_checks(plan, inspection, real=not simulate)
-                require_playable([*run.checks(plan), *checks])
-                holding = run.holding(plan)
-                report = execution.run(
-                    link, plan, inspection, StopRequest(), say, holding
-                )
-            said = judge_run(plan, run_options.files.model, run_options.model)
-        return replace(report, findings=said.lines, is_as_expected=not said.differs)
+        run = execution.MotorRun(execution.RunOptions.of(values))
+        return play_run(run, simulate, say)
+
+
+def play_run(run: execution.MotorRun, simulate: bool, say: Say) -> PlayReport:
+    """Play the trajectory of a run, with all checks; arguments and errors are those of ``play``.
+
+    A program that has a bus of its own makes the run with it.
+    """
+    with recorded_plan(run.plan()) as plan:
+        opened = run.open_simulated(plan) if simulate else run.open_guarded()
+        with opened as link:
+            inspection = inspect_bus(link)
+            # The signs of a simulated arm's motors are not in doubt.
+            checks = run.inspection_checks(plan, inspection, real=not simulate)
+            require_playable([*run.checks(plan), *checks])
+            holding = run.holding(plan)
+            report = execution.run(link, plan, inspection, StopRequest(), say, holding)
+        said = judge_run(plan, run.options.files.model, run.options.model)
+    return replace(report, findings=said.lines, is_as_expected=not said.differs)
 
 
 @contextlib.contextmanager

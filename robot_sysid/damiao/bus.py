@@ -101,6 +101,13 @@ class Link(Protocol):
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
 
 
+class OpenLink(Link, Protocol):
+    """A link that was opened and has to be closed."""
+
+    def close(self) -> None:
+        """Close the bus; it raises nothing, which would hide errors about motors."""
+
+
 @dataclass(frozen=True)
 class GuardedLink:
     """A link that refuses harmful frames.

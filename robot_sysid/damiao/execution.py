@@ -16,7 +16,13 @@ from typing import Any, Optional
 import numpy as np
 
 from robot_sysid.damiao.adapters import BusAddress, open_bus
-from robot_sysid.damiao.bus import GuardedLink, Inspection, SimulatedClock, SystemClock
+from robot_sysid.damiao.bus import (
+    GuardedLink,
+    Inspection,
+    OpenLink,
+    SimulatedClock,
+    SystemClock,
+)
 from robot_sysid.damiao.checks import preflight
 from robot_sysid.damiao.joints import (
     MASTER_ID_OFFSET,
@@ -150,6 +156,29 @@ class RunOptions:
                 )
 
 
+@dataclass(frozen=True)
+class Equipment:
+    """What a run works with beside its options, none of which replaces it.
+
+    A program that has a bus of its own hands it to ``MotorRun``, as tests do with a bus in
+    simulated time.
+
+    Attributes:
+        clock: clock of the bus.
+        open_bus: opens the bus at an address, with its timing and that clock; InputError where it
+            cannot.
+        physics_step: length of a step of a simulated arm [s]; None for the usual one.
+    """
+
+    clock: SystemClock = SystemClock()
+    open_bus: Callable[[BusAddress, BusTiming, SystemClock], OpenLink] = open_bus
+    physics_step: float | None = None
+
+
+COMPUTER = Equipment()
+"""Clock and adapters of this computer."""
+
+
 # Seed of the simulated arm, so that the same command writes the same recording.
 _USUAL_ARM = 0
 # How far a joint that is to be held may be from where it was inspected [rad]: the arm stays there.
@@ -171,15 +200,15 @@ class MotorRun:
 
     Args:
         options: of the command line, or of a Python call.
+        equipment: clock and adapters.
 
     Attributes:
-        options: as given.
-        clock: clock of the bus.
+        options, equipment: as given.
     """
 
-    def __init__(self, options: RunOptions) -> None:
+    def __init__(self, options: RunOptions, equipment: Equipment = COMPUTER) -> None:
         self.options = options
-        self.clock = SystemClock()
+        self.equipment = equipment
 
     def plan(self) -> Plan:
         """Return the plan of the trajectory file with the options' settings.
@@ -274,12 +303,12 @@ class MotorRun:
         if self.robot is not None:
             from robot_sysid.damiao.checks.model import contact_checks, torque_checks
 
-            checks += contact_checks(plan, self._problem)
+            checks += contact_checks(plan, self.problem)
             checks += torque_checks(plan, self.robot)
         return checks
 
     @cached_property
-    def _problem(self) -> Any:
+    def problem(self) -> Any:
         """Geometry of the model's arm and the user's obstacles (ExcitationProblem)."""
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.motion.problem import build_problem
@@ -298,7 +327,7 @@ class MotorRun:
         if self.robot is not None and np.all(np.isfinite(q)):
             from robot_sysid.damiao.checks.model import transfer_checks
 
-            checks += transfer_checks(self._problem, q, plan.trajectory.q[0])
+            checks += transfer_checks(self.problem, q, plan.trajectory.q[0])
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
@@ -332,7 +361,7 @@ class MotorRun:
             raise InputError(
                 f"a simulated arm needs a model; add {option_name('model')}"
             )
-        from robot_sysid.simulation.plant import ArmStepper, load_plant
+        from robot_sysid.simulation.plant import TIMESTEP, ArmStepper, load_plant
         from robot_sysid.simulation.usual_arm import usual_arm
 
         plant = self.options.plant.plant_model
@@ -346,7 +375,8 @@ class MotorRun:
 
         watchdog = max(_SIMULATED_WATCHDOG, _WATCHDOG_CYCLES * plan.settings.period)
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
-        stepper = ArmStepper(robot, plan.trajectory.q[0])
+        step = self.equipment.physics_step or TIMESTEP
+        stepper = ArmStepper(robot, plan.trajectory.q[0], step)
         clock = SimulatedClock()
         arm = SimulatedArm(stepper, motors)
         timing = self.options.timing
@@ -369,9 +399,10 @@ class MotorRun:
                 f"this command needs {option_name('channel')}, for instance "
                 f"{option_setting('channel', 'can0')}"
             )
-        link = open_bus(address, timing, self.clock)
+        clock = self.equipment.clock
+        link = self.equipment.open_bus(address, timing, clock)
         with contextlib.closing(link):
-            yield GuardedLink(link, self.clock, timing.fd, refuses)
+            yield GuardedLink(link, clock, timing.fd, refuses)
 
 
 def _stored_type(joint: DamiaoJoint, inspection: Inspection) -> str:

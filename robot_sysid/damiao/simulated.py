@@ -6,6 +6,9 @@ down when it packs a value, leaves the enabled state on any fault and when no co
 longer than its watchdog allows, and stays disabled until it is enabled again.
 
 The arm is simulated in simulated time, without waiting, or in real time behind a CAN adapter.
+
+What may be wrong with motors, an arm or a bus is simulated by subclasses, which replace public
+methods: each says what it may be replaced for.
 """
 
 from __future__ import annotations
@@ -15,9 +18,10 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.damiao.bus import SimulatedClock
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting
@@ -59,6 +63,9 @@ _TURNAROUND = 50e-6
 @dataclass
 class SimulatedMotor:
     """One simulated motor and its state.
+
+    A subclass may answer otherwise, by frame (``handle``), by kind of question (``command_answer``,
+    ``register_answer``), in its state (``feedback``) or in the bytes of that (``feedback_of``).
 
     Attributes:
         joint: joint that the motor drives, with its mounting.
@@ -117,28 +124,28 @@ class SimulatedMotor:
         if len(frame.data) < 4:
             return None
         if frame.id == REGISTER_ID:
-            data = self._register_answer(frame.data)
+            data = self.register_answer(frame.data)
         elif frame.id & 0xFF == self.can_id & 0xFF and len(frame.data) == 8:
-            data = self._command_answer(frame.data, time)
+            data = self.command_answer(frame.data, time)
         if data is None:
             return None
         return CanFrame(int(self.registers[Register.MST_ID]), data)
 
-    def _command_answer(self, data: bytes, time: float) -> bytes:
+    def command_answer(self, data: bytes, time: float) -> bytes:
         """Feed the watchdog at ``time`` [s], obey a command's 8 bytes, return the answer's data."""
         self.fed_at = time
         if is_special(data):
-            self._special(data[7])
-            return self._feedback()
+            self.obey_special(data[7])
+            return self.feedback()
         # The answer to a command is the state before it acts.
-        answer = self._feedback()
+        answer = self.feedback()
         if self.drives and self.registers[Register.CTRL_MODE] == MIT_MODE:
             frame = np.frombuffer(data, np.uint8)
             command = decode_mit(frame, self._scaling)
             self.command = np.ravel(command).tolist()
         return answer
 
-    def _special(self, code: int) -> None:
+    def obey_special(self, code: int) -> None:
         """Obey the special command with a code: enable or disable; with a fault, neither."""
         if is_fault(self.status):
             return
@@ -147,7 +154,7 @@ class SimulatedMotor:
         elif code == DISABLE:
             self.fail(DISABLED)
 
-    def _register_answer(self, data: bytes) -> bytes | None:
+    def register_answer(self, data: bytes) -> bytes | None:
         """Return the data of the answer to a register frame's data, or None if there is none.
 
         Bytes 0 and 1 hold the CAN id, byte 2 the operation, and byte 3 the register's number.
@@ -157,16 +164,16 @@ class SimulatedMotor:
         operation = data[2]
         number = data[3]
         if operation == REFRESH:
-            return self._feedback()
+            return self.feedback()
         if operation != READ or number not in self.registers:
             return None
         return data[:4] + bytes_from_value(number, self.registers[number])
 
-    def _feedback(self) -> bytes:
+    def feedback(self) -> bytes:
         """Return the data of a feedback frame with the present state."""
-        return self._pack(self.position, self.velocity, self.torque)
+        return self.feedback_of(self.position, self.velocity, self.torque)
 
-    def _pack(self, *measured: float) -> bytes:
+    def feedback_of(self, *measured: float) -> bytes:
         """Return the data of feedback with position [rad], velocity [rad/s], torque [N m]."""
         temperatures = self.temperature_mos, self.temperature_rotor
         fields = np.array([[self.status, self.can_id & 0xF, *measured, *temperatures]])
@@ -201,6 +208,29 @@ def simulated_motor(joint: DamiaoJoint, watchdog: float) -> SimulatedMotor:
     return SimulatedMotor(joint, registers, peak, brake=0.5 * peak)
 
 
+class Drives(NamedTuple):
+    """What the n motors of an arm do, in joint space.
+
+    A driving motor makes kp (p - q) - kd qd + offset with offset = kd v + t; for the others kp and
+    offset are zero, and kd is the damping of their shorted windings.
+
+    Attributes:
+        position: commanded position p (n,) [rad].
+        kp: stiffness (n,) [N m/rad].
+        kd: damping (n,) [N m s/rad].
+        offset: torque (n,) [N m].
+        peak: largest torque (n,) of a driving motor [N m].
+        driving: whether each motor drives (n,).
+    """
+
+    position: Array
+    kp: Array
+    kd: Array
+    offset: Array
+    peak: Array
+    driving: NDArray[np.bool_]
+
+
 class SimulatedArm:
     """An arm whose joints are driven by simulated motors.
 
@@ -216,37 +246,49 @@ class SimulatedArm:
         time: simulated time up to which the arm has been computed [s].
         mechanism: as given.
         motors: as given, as a list.
+        mounting: of the motors on their joints.
+        was_enabled: whether a motor was ever enabled: until then the arm is supported.
     """
 
     def __init__(self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor]) -> None:
         self.mechanism = mechanism
         self.motors = list(motors)
-        self._mounting = Mounting.of(
-            [m.joint for m in self.motors[: mechanism.n_joints]]
-        )
         self.time = 0.0
-        # Whether a motor was ever enabled: until then the arm is supported.
-        self._was_enabled = False
-        # Whether commands or states have changed since ``_gather`` stored them.
-        self._changed = True
+        self.was_enabled = False
+        self.mount()
+
+    def mount(self) -> None:
+        """Mount the motors as their joints say now."""
+        motors = self.motors[: self.mechanism.n_joints]
+        self.mounting = Mounting.of([motor.joint for motor in motors])
+        # None where commands, states or mounting have changed since they were gathered.
+        self._drives: Drives | None = None
 
     def advance(self, until: float) -> None:
         """Simulate up to the time ``until`` [s]; the last step ends there.
 
         An arm of which no motor was ever enabled stands still meanwhile.
         """
-        if not self._was_enabled:
+        if not self.was_enabled:
             self.time = max(self.time, until)
         # Rounding errors of sums are smaller.
         while until - self.time > 1e-9:
             duration = min(self.mechanism.timestep, until - self.time)
             self.time += duration
             for motor in self.motors:
-                self._changed |= motor.tick(self.time)
+                if motor.tick(self.time):
+                    self._drives = None
             # The position half a step ahead stands for the whole step to second order.
             ahead = self.mechanism.q + 0.5 * duration * self.mechanism.qd
             torque, damping = self._motor_torques(ahead)
-            self.mechanism.step(torque, damping, duration)
+            self.step(torque, damping, duration)
+
+    def step(self, torque: Array, damping: Array, duration: float) -> None:
+        """Advance the mechanism by a time [s] under the motor torque ``torque - damping qd``.
+
+        Of both (n,), a subclass may let other ones arrive at the joints.
+        """
+        self.mechanism.step(torque, damping, duration)
 
     def handle(self, frame: CanFrame, time: float) -> list[CanFrame]:
         """Simulate up to ``time`` [s], send a frame to all motors and return their answers."""
@@ -256,28 +298,43 @@ class SimulatedArm:
     def answers(self, frame: CanFrame, time: float) -> list[CanFrame]:
         """Send a frame to all motors at ``time`` [s] and return their answers; simulate nothing."""
         self._read_sensors()
-        self._changed = True
+        self._drives = None
         answers = [motor.handle(frame, time) for motor in self.motors]
-        self._was_enabled |= any(motor.drives for motor in self.motors)
+        self.was_enabled |= any(motor.drives for motor in self.motors)
         return [answer for answer in answers if answer is not None]
 
-    def _gather(self) -> None:
-        """Store all motors' commands, gains and peak torques as arrays (n,) in joint space.
+    @property
+    def drives(self) -> Drives:
+        """What the motors do by their present commands and states."""
+        if self._drives is None:
+            self._drives = self.gather()
+        return self._drives
 
-        A driving motor makes kp (p - q) - kd qd + offset with offset = kd v + t; for the others kp
-        and offset are zero, and kd is the damping of their shorted windings.
+    def gather(self) -> Drives:
+        """Return what the motors do by commands, gains and peak torques, as arrays (n,).
+
+        A subclass may let motors do something else than they are commanded.
         """
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.drives for m in motors])
         *commands, brake, peak = table.T
-        self._p, v, kp, kd, t = self._mounting.inverse.command(MitCommand(*commands))
-        self._peak = peak
-        self._kd = np.where(driving, kd, brake)
-        self._offset = np.where(driving, kd * v + t, 0.0)
-        self._kp = np.where(driving, kp, 0.0)
-        self._limited = driving
-        self._changed = False
+        p, v, kp, kd, t = self.mounting.inverse.command(MitCommand(*commands))
+        return Drives(
+            position=p,
+            kp=np.where(driving, kp, 0.0),
+            kd=np.where(driving, kd, brake),
+            offset=np.where(driving, kd * v + t, 0.0),
+            peak=peak,
+            driving=driving,
+        )
+
+    def encoded(self, q: Array) -> Array:
+        """Return the positions (n,) that motors control where the joints are at q (n,) [rad].
+
+        A subclass may let encoders be wrong.
+        """
+        return q
 
     def _motor_torques(self, q: Array) -> tuple[Array, Array]:
         """Return the motors' torque (n,) [N m] and damping (n,) [N m s/rad] in joint space.
@@ -285,20 +342,19 @@ class SimulatedArm:
         The motors make torque - damping qd at positions q (n,) [rad] and the present velocities qd;
         where an enabled motor would exceed its peak torque, torque is the peak and damping zero.
         """
-        if self._changed:
-            self._gather()
-        torque = self._kp * (self._p - q) + self._offset
-        total = torque - self._kd * self.mechanism.qd
-        saturated = self._limited & (np.abs(total) > self._peak)
-        limit = np.clip(total, -self._peak, self._peak)
-        return np.where(saturated, limit, torque), np.where(saturated, 0.0, self._kd)
+        drives = self.drives
+        torque = drives.kp * (drives.position - self.encoded(q)) + drives.offset
+        total = torque - drives.kd * self.mechanism.qd
+        saturated = drives.driving & (np.abs(total) > drives.peak)
+        limit = np.clip(total, -drives.peak, drives.peak)
+        return np.where(saturated, limit, torque), np.where(saturated, 0.0, drives.kd)
 
     def _read_sensors(self) -> None:
         """Set each motor's position, velocity and torque from the arm's present state."""
         q = self.mechanism.q
         qd = self.mechanism.qd
         torque, damping = self._motor_torques(q)
-        signals = self._mounting.signals(q, qd, torque - damping * qd)
+        signals = self.mounting.signals(q, qd, torque - damping * qd)
         # One row of position, velocity and torque per motor.
         readings = np.transpose(signals).tolist()
         for motor, (position, velocity, motor_torque) in zip(self.motors, readings):
@@ -347,13 +403,24 @@ class SimulatedLink:
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame as soon as the bus is free; the arm gets it after the last bit."""
+        end = self.transmit(frame)
+        if self._echo:
+            self.deliver(frame._replace(time=end, echo=True))
+
+    def transmit(self, frame: CanFrame) -> float:
+        """Put a frame on the bus as soon as it is free, as any program on it may.
+
+        Returned is when the arm gets it, after the last bit [s].
+        """
         end = max(self.clock.now(), self._free_at) + self._timing.frame_time
         self._free_at = end
-        if self._echo:
-            self._deliver(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
-            begin = end + _TURNAROUND
-            heapq.heappush(self._replies, (begin, reply.id, next(self._order), reply))
+            self.send_when_free(end + _TURNAROUND, reply)
+        return end
+
+    def send_when_free(self, begin: float, frame: CanFrame) -> None:
+        """Let a motor send a frame from a moment on [s] at which the bus is free."""
+        heapq.heappush(self._replies, (begin, frame.id, next(self._order), frame))
 
     def receive(self, until: float) -> CanFrame | None:
         """Return the next frame transmitted by ``until`` [s], or None; advance the clock to it."""
@@ -365,7 +432,7 @@ class SimulatedLink:
             heapq.heappop(self._replies)
             self._free_at = arrival
             if reply.fd <= self._timing.fd:
-                self._deliver(reply._replace(time=arrival))
+                self.deliver(reply._replace(time=arrival))
         if not self._through or self._through[0][0] > until:
             self.clock.sleep_until(until)
             return None
@@ -373,6 +440,9 @@ class SimulatedLink:
         self.clock.sleep_until(frame.time)
         return frame
 
-    def _deliver(self, frame: CanFrame) -> None:
-        """Store a transmitted frame, which ``receive`` returns at the frame's time."""
+    def deliver(self, frame: CanFrame) -> None:
+        """Store a transmitted frame, which ``receive`` returns at the frame's time.
+
+        A subclass may lose, delay or damage it.
+        """
         heapq.heappush(self._through, (frame.time, next(self._order), frame))

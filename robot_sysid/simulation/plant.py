@@ -188,6 +188,9 @@ class ArmStepper:
         timestep: as given.
         q: (n,) positions after the last step [rad or m].
         qd: (n,) velocities after the last step [rad/s or m/s].
+        viscous: (n,) viscous friction of the joints [N m s/rad]; it may be changed between steps.
+        coulomb: (k,) levels of Coulomb friction [N m], of the n joints and then of motors that turn
+            several joints; they may be changed between steps.
     """
 
     def __init__(self, robot: RobotModel, q: Array, timestep: float = TIMESTEP) -> None:
@@ -198,13 +201,12 @@ class ArmStepper:
         # constraint solver, in which its frictionloss would act.
         self._model = forward_model(robot)
         self._data = data_at_pose(self._model, robot.reference_qpos)
-        self._viscous = robot.friction.viscous
+        self.viscous = robot.friction.viscous
         # Friction torque (motors, n) of motors that turn several joints; no rows where none does.
         shared = robot.friction.shared
         levels = np.max(np.abs(shared), axis=1)
-        # Coulomb friction levels (k,): those of the n joints, then those of motors that turn
-        # several joints. Each acts along one direction in joint velocities, a row of (k, n).
-        self._coulomb = np.concatenate((robot.friction.coulomb, levels))
+        # Each level acts along one direction in joint velocities, a row of (k, n).
+        self.coulomb = np.concatenate((robot.friction.coulomb, levels))
         self._friction_axes = np.vstack(
             (np.eye(robot.n_joints), shared / levels[:, None])
         )
@@ -253,7 +255,7 @@ class ArmStepper:
         middle_q = self.q + 0.5 * h * self.qd
         middle_qd = self.qd + 0.5 * self._last_change
         mobility, bias = self._dynamics(middle_q, middle_qd)
-        resistance = damping + self._viscous
+        resistance = damping + self.viscous
         end_response, mean_response = _velocity_responses(mobility, resistance, h)
 
         load = torque - bias - resistance * self.qd
@@ -317,7 +319,7 @@ class ArmStepper:
             inwards: (n,) sign of the torque of each joint's stop; 0 where none acts.
         """
         axes = self._friction_axes
-        coulomb = self._coulomb
+        coulomb = self.coulomb
         stop = np.zeros(len(coulomb))
         stop[: self.n_joints] = inwards
         sticks = stop != 0.0

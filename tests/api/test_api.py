@@ -17,7 +17,6 @@ from rigs.arms import small_arms
 from rigs.files import pages, params
 from rigs.files.refusals import refused
 from rigs.logs import recorded
-from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Recording
 from robot_sysid.report.runs import load_run
@@ -341,14 +340,13 @@ def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
         assert abs(difference) < max(1e-3, 0.1 * scale.error), joint
 
 
-def test_a_plan_gives_arrays_to_play(tmp_path, monkeypatch, model):
-    lines = ["standard deviations"]
-    monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, lines))
+def test_a_plan_gives_arrays_to_play(tmp_path, model):
     plan = rs.plan(model, excitation="sines", duration=4.0, seed=1)
     motion = plan.sampled(100.0)
     assert plan.failure is None and motion.q.shape == (401, 4)
     assert_allclose(motion.qd[[0, -1]], 0.0, atol=1e-9)
-    assert str(plan) == "standard deviations"
+    assert str(plan) == "\n".join(plan.prediction)
+    assert any("with these errors" in line for line in plan.prediction)
     files = plan.save(tmp_path / "plan.json")
     assert repr(plan) == "<PlanResult 4 s for 4 joints of arm.xml, keeps all limits>"
     assert pickle.loads(pickle.dumps(plan)).duration == 4.0

@@ -10,10 +10,11 @@ import pytest
 
 import robot_sysid as rs
 from rigs.arms import small_arms
-from rigs.motors.damiao_rig import MotorBus, swing, trajectory_file, with_coarse_physics
+from rigs.motors.damiao_rig import MotorBus, swing, trajectory_file
 from rigs.motors.recordings import read_recording
-from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
+from robot_sysid.damiao import play_run
+from robot_sysid.damiao.execution import MotorRun, RunOptions
 from robot_sysid.damiao.protocol import DISABLED
 
 
@@ -25,11 +26,6 @@ def model(arm_file):
 @pytest.fixture
 def trajectory(tmp_path):
     return trajectory_file(tmp_path, swing(2, duration=0.5, amplitude=0.05)).path
-
-
-@pytest.fixture(autouse=True)
-def quickly(monkeypatch):
-    with_coarse_physics(monkeypatch)
 
 
 def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
@@ -53,9 +49,7 @@ def test_a_simulated_arm_is_the_models_where_that_is_named(trajectory, model, tm
     assert recordings[0] == recordings[1] != recordings[2]
 
 
-def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path, monkeypatch):
-    # What an estimate will know is slow to tell.
-    monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, ()))
+def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path):
     motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
     plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)
     report = rs.motors.play(plan, simulate=True, rate=50)
@@ -87,12 +81,13 @@ def test_what_cannot_be_used_is_said(trajectory, message):
     assert str(caught.value).startswith(message)
 
 
-def test_an_arm_is_moved_from_any_thread(trajectory, monkeypatch):
+def test_an_arm_is_moved_from_any_thread(trajectory):
     """Signals are for the main thread; a run does not need them."""
-    bus = MotorBus(watchdog=0.5, echo=True).open_for_commands(monkeypatch)
+    bus = MotorBus(watchdog=0.5, echo=True)
     reports = []
-    options = {"channel": "can0", "rate": 50}
-    play = lambda: reports.append(rs.motors.play(trajectory, **options))  # noqa: E731
+    options = RunOptions.of({"trajectory": trajectory, "channel": "can0", "rate": 50.0})
+    run = MotorRun(options, bus.equipment)
+    play = lambda: reports.append(play_run(run, False, print))  # noqa: E731
     thread = threading.Thread(target=play)
     thread.start()
     thread.join()

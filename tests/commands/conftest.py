@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigs.arms import small_arms
+from rigs.files.command_line import MotorsCommandLine
 from rigs.motors.clocks import heard_signals
 from rigs.motors.damiao_rig import MotorBus
 
@@ -32,7 +33,13 @@ def person(monkeypatch):
 
 
 @pytest.fixture
-def bus(monkeypatch):
-    """Two motors, which commands find in place of real ones."""
+def bus():
+    """Two motors."""
     with heard_signals():
-        yield MotorBus(watchdog=0.5, echo=True).open_for_commands(monkeypatch)
+        yield MotorBus(watchdog=0.5, echo=True)
+
+
+@pytest.fixture
+def motors(capsys, bus):
+    """The commands on motors, which find those of the bus in place of real ones."""
+    return MotorsCommandLine(capsys, bus.equipment)

@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rigs.arms import small_arms
-from rigs.files.command_line import fail, succeed, words_of
-from rigs.files.command_line import run_motors as run
+from rigs.files.command_line import MotorsCommandLine, words_of
 from rigs.motors.damiao_rig import (
+    COARSE_STEP,
     fault,
     map_line,
     only_asks,
     swing,
     trajectory_file,
-    with_coarse_physics,
 )
 from rigs.motors.realtime_arm import NEEDS_TERMINALS, arm_process
 from rigs.motors.recordings import read_recording
-from robot_sysid import parser
-from robot_sysid.cli import main
 from robot_sysid.damiao.bus import SystemClock
+from robot_sysid.damiao.execution import Equipment
 from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.damiao.protocol import DISABLED
+from robot_sysid.parser import load_robot_model
 
 CAN0 = "--channel can0"
 AT_50 = "--rate 50"
@@ -43,29 +44,37 @@ def write_trajectory(folder, motion):
     return trajectory_file(folder, motion).path
 
 
-@pytest.fixture
-def quickly(monkeypatch):
-    with_coarse_physics(monkeypatch)
+def refuse_real_time(*_):
+    raise AssertionError("asked for real time")
 
 
-@pytest.fixture
-def no_real_time(monkeypatch):
-    """Let whoever asks for the computer's clock fail."""
+class RefusedClock(SystemClock):
+    """A clock that nobody may ask."""
 
-    def refuse(*_):
-        raise AssertionError("asked for real time")
+    now = sleep_until = refuse_real_time
 
-    monkeypatch.setattr(SystemClock, "now", refuse)
-    monkeypatch.setattr(SystemClock, "sleep_until", refuse)
-    monkeypatch.setattr("time.sleep", refuse)
+
+def times_opened(path, monkeypatch):
+    """Return the list to which the path is added whenever it is opened."""
+    opened = []
+    really_open = io.open
+
+    def note_and_open(file, *arguments, **options):
+        if not isinstance(file, int) and Path(file) == path:
+            opened.append(path)
+        return really_open(file, *arguments, **options)
+
+    monkeypatch.setattr("io.open", note_and_open)
+    monkeypatch.setattr("builtins.open", note_and_open)
+    return opened
 
 
 # --- check --------------------------------------------------------------------------------------
 
 
-def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
+def test_check_prints_a_table_and_enables_nothing(motors, bus, trajectory):
     fault(1, TIMEOUT=1e5)(bus)
-    out = succeed(capsys, "check", trajectory, CAN0)
+    out = motors.succeed("check", trajectory, CAN0)
     assert "ready to play" in out
     assert re.search(
         r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms .* 31/29 +status 0", out
@@ -74,15 +83,15 @@ def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     assert bus.states() == [DISABLED] * 2
 
 
-def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
+def test_what_is_said_is_the_result_as_json(motors, bus, trajectory):
     limits = "--max-velocity 9 --max-torque 20,27"
     check = ("motors check", trajectory, CAN0, "--json", limits)
-    assert main(words_of(check)) == 0
-    printed = capsys.readouterr()
-    answer = json.loads(printed.out)
+    code, out, err = motors.run_program(words_of(check))
+    assert code == 0
+    answer = json.loads(out)
     assert (answer["command"], answer["exit_code"]) == ("check", 0)
     assert (
-        answer["lines"] == printed.err.splitlines()
+        answer["lines"] == err.splitlines()
         and answer["lines"][-3:] == answer["verdict"]
     )
     record = trajectory.with_name("slow.csv")
@@ -92,21 +101,23 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
     assert shlex.split(answer["verdict"][2]) == following
     assert answer["next_step"]["command"] == following
     fault(0, CTRL_MODE=2)(bus)
-    assert main(words_of(("motors play", trajectory, CAN0, "--yes --json"))) == 3
-    answer = json.loads(capsys.readouterr().out)
+    play = words_of(("motors play", trajectory, CAN0, "--yes --json"))
+    code, out, _ = motors.run_program(play)
+    assert code == 3
+    answer = json.loads(out)
     assert answer["verdict"][0].startswith(
         "Not usable: not played: motor 1 is in mode 2"
     )
 
 
 def test_check_says_what_has_to_change_in_the_names_of_a_map(
-    capsys, bus, trajectory, tmp_path
+    motors, bus, trajectory, tmp_path
 ):
     table = tmp_path / "map.csv"
     write_joint_map(table, [map_line("hip", 1, 0x11), map_line("knee", 2, 0x12)])
     fault(0, CTRL_MODE=2)(bus)
     fault(1, TMAX=40, TIMEOUT=0)(bus)
-    code, out, _ = run(capsys, "check", trajectory, CAN0, "--joint-map", table)
+    code, out, _ = motors.run("check", trajectory, CAN0, "--joint-map", table)
     assert code == 1 and "not DM4340!" in out and "3 to change before playing" in out
     mode = "motor 1 (joint hip) is in mode 2 (POS_VEL); set it to MIT with motors"
     assert f"[STOP] {mode}" in out
@@ -116,23 +127,23 @@ def test_check_says_what_has_to_change_in_the_names_of_a_map(
 
 
 def test_what_has_to_change_is_changed_by_the_words_that_are_printed(
-    capsys, bus, trajectory
+    motors, bus, trajectory
 ):
     fault(0, CTRL_MODE=2, TIMEOUT=0)(bus)
     fault(1, MST_ID=0x15)(bus)
-    _, out, _ = run(capsys, "check", trajectory, CAN0)
+    _, out, _ = motors.run("check", trajectory, CAN0)
     words = re.findall(r"with motors (setup .*? --store)", out)
     assert len(words) == 3
     for setup in words:
-        succeed(capsys, setup, CAN0)
+        motors.succeed(setup, CAN0)
     # The answer to the last one is still on this bus.
-    succeed(capsys, "setup", CAN0)
-    assert "ready to play" in succeed(capsys, "check", trajectory, CAN0)
+    motors.succeed("setup", CAN0)
+    assert "ready to play" in motors.succeed("check", trajectory, CAN0)
 
 
-def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):
-    succeed(capsys, "check", trajectory)
-    code, out, _ = run(capsys, "check", trajectory, "--rate 2000")
+def test_check_without_a_bus_checks_the_file(motors, bus, trajectory):
+    motors.succeed("check", trajectory)
+    code, out, _ = motors.run("check", trajectory, "--rate 2000")
     assert code == 1 and "limit 70 %; use --rate 250" in out
     assert bus.wire.frames == []
 
@@ -140,38 +151,38 @@ def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):
 # --- play ---------------------------------------------------------------------------------------
 
 
-def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
-    err = fail(capsys, 2, "play", trajectory, CAN0)
+def test_playing_needs_a_confirmation(motors, bus, trajectory, monkeypatch):
+    err = motors.fail(2, "play", trajectory, CAN0)
     assert "give --yes" in err
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda prompt: "no")
-    err = fail(capsys, 2, "play", trajectory, CAN0)
+    err = motors.fail(2, "play", trajectory, CAN0)
     assert "not confirmed" in err
     assert only_asks(bus.wire.sent)
     monkeypatch.setattr("builtins.input", lambda prompt: " Yes ")
-    succeed(capsys, "play", trajectory, CAN0, AT_50)
+    motors.succeed("play", trajectory, CAN0, AT_50)
 
 
 def test_play_records_but_over_no_file_and_nobody_is_asked_first(
-    capsys, bus, trajectory, tmp_path, person
+    motors, bus, trajectory, tmp_path, person
 ):
     existing = tmp_path / "measured.csv"
     record = "--record", existing
     existing.write_text("precious")
     played = trajectory.read_bytes()
-    err = fail(capsys, 2, "play", trajectory, CAN0, *record)
+    err = motors.fail(2, "play", trajectory, CAN0, *record)
     assert f"{existing.name} exists" in err and "--overwrite" in err
     same = tmp_path / ".." / tmp_path.name / trajectory.name
     over_itself = "--record", same, "--overwrite"
-    err = fail(capsys, 2, "play", trajectory, CAN0, *over_itself)
+    err = motors.fail(2, "play", trajectory, CAN0, *over_itself)
     assert "would overwrite a file that is read" in err
     nowhere = "--record", tmp_path / "missing" / "measured.csv"
-    err = fail(capsys, 2, "play", trajectory, CAN0, *nowhere)
+    err = motors.fail(2, "play", trajectory, CAN0, *nowhere)
     assert "its folder is missing" in err
     assert existing.read_text() == "precious" and trajectory.read_bytes() == played
     assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
     options = CAN0, *record, AT_50, "--yes --kd 2 --overwrite"
-    out = succeed(capsys, "play", trajectory, *options)
+    out = motors.succeed("play", trajectory, *options)
     assert "all motors are disabled" in out and bus.states() == [DISABLED] * 2
     recording = read_recording(existing)
     assert recording.ending == "completed" and "kd=2 2" in recording.head
@@ -181,8 +192,8 @@ def test_play_records_but_over_no_file_and_nobody_is_asked_first(
 FAST = "--rate 125 --yes"
 
 
-def test_a_run_without_missing_answers_says_so_in_a_line(capsys, bus, trajectory):
-    out = succeed(capsys, "play", trajectory, CAN0, FAST)
+def test_a_run_without_missing_answers_says_so_in_a_line(motors, bus, trajectory):
+    out = motors.succeed("play", trajectory, CAN0, FAST)
     assert "every command was answered" in out and "lost" not in out
     lines = [line.split() for line in out.splitlines()]
     assert ["motor", "1", "20", "20"] in [line[:4] for line in lines]
@@ -190,10 +201,10 @@ def test_a_run_without_missing_answers_says_so_in_a_line(capsys, bus, trajectory
 
 
 def test_a_fault_that_a_motor_reports_while_it_drives_is_the_verdict(
-    capsys, bus, trajectory
+    motors, bus, trajectory
 ):
     bus.at(1.0, lambda: fault(1, false_status=3)(bus))
-    code, out, _ = run(capsys, "play", trajectory, CAN0, FAST)
+    code, out, _ = motors.run("play", trajectory, CAN0, FAST)
     assert code == 1 and bus.states() == [DISABLED] * 2
     *_, verdict, remedy = out.splitlines()
     pattern = "Not usable: motor 2 reported status 3: .* in (\\d+) answers; played to"
@@ -204,19 +215,19 @@ def test_a_fault_that_a_motor_reports_while_it_drives_is_the_verdict(
     assert "error frames on the bus: 0" in out.split("largest distance")[1]
 
 
-def test_a_run_that_is_stopped_says_how_the_motors_answered(capsys, bus, trajectory):
+def test_a_run_that_is_stopped_says_how_the_motors_answered(motors, bus, trajectory):
     bus.at(3.0, lambda: fault(1, lost_replies=True)(bus))
-    code, out, _ = run(capsys, "play", trajectory, CAN0, FAST)
+    code, out, _ = motors.run("play", trajectory, CAN0, FAST)
     assert code == 3
     assert re.search(r"motor 2 +\d+ +[1-9]\d* +0 +0 +-$", out, re.M)
 
 
-def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
+def test_interrupting_before_anything_moves(motors, bus, trajectory, person):
     def interrupt():
         raise KeyboardInterrupt
 
     person[0].append(interrupt)
-    err = fail(capsys, 130, "play", trajectory, CAN0)
+    err = motors.fail(130, "play", trajectory, CAN0)
     assert "no motor is enabled" in err
     assert only_asks(bus.wire.sent)
 
@@ -235,9 +246,9 @@ BAD_USAGE = {
 }
 
 
-def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory):
+def test_bad_usage_is_one_line_and_exit_code_2(motors, trajectory):
     for line, message in BAD_USAGE.items():
-        assert message in fail(capsys, 2, line.replace("T", str(trajectory))), line
+        assert message in motors.fail(2, line.replace("T", str(trajectory))), line
 
 
 # --- a model of the arm -------------------------------------------------------------------------
@@ -246,7 +257,7 @@ NARROW = 'range="-.3 .3"'
 
 
 def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
-    capsys, bus, tmp_path, arm_file
+    motors, bus, tmp_path, arm_file
 ):
     """Play and simulate refuse what check has to say."""
     trajectory = write_trajectory(tmp_path, swing(2, amplitude=0.98))
@@ -262,11 +273,11 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
         ("simulate", *record),
         ("simulate", CAN0),
     ):
-        err = fail(capsys, 3, command, trajectory, *model, *options)
+        err = motors.fail(3, command, trajectory, *model, *options)
         messages.add(re.search("not (played|rehearsed): (.*)", err)[2])
     (message,) = messages
     for channel in ((CAN0,), ()):
-        code, out, _ = run(capsys, "check", trajectory, *model, *channel)
+        code, out, _ = motors.run("check", trajectory, *model, *channel)
         stops = re.findall(r"\[STOP\] +(.*)", out)
         assert code == 1 and stops[0] == message
         for number, stop in enumerate(stops[:2]):
@@ -276,7 +287,7 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
     assert set(tmp_path.iterdir()) == files and only_asks(bus.wire.sent)
 
 
-def test_limits_hold_for_what_is_played(capsys, bus, trajectory, arm_file):
+def test_limits_hold_for_what_is_played(motors, bus, trajectory, arm_file):
     """At 0.31 rad/s; planes only with a model, and models of as many joints."""
     three = arm_file(small_arms.THREE)
     for code, options, message in (
@@ -285,7 +296,7 @@ def test_limits_hold_for_what_is_played(capsys, bus, trajectory, arm_file):
         (3, "--max-velocity 0.3", "rad/s is beyond your limit, 0.3"),
     ):
         assert bus.wire.frames == []
-        assert message in fail(capsys, code, "play", trajectory, CAN0, "--yes", options)
+        assert message in motors.fail(code, "play", trajectory, CAN0, "--yes", options)
     assert only_asks(bus.wire.sent)
 
 
@@ -293,18 +304,22 @@ def test_limits_hold_for_what_is_played(capsys, bus, trajectory, arm_file):
 
 
 def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
-    capsys, no_real_time, trajectory, model, tmp_path, monkeypatch, quickly
+    capsys, trajectory, model, tmp_path, monkeypatch
 ):
-    read = []
-    load = parser.load_robot_model
-    monkeypatch.setattr(
-        parser, "load_robot_model", lambda *a, **k: read.append(a) or load(*a, **k)
-    )
+    """And once more, for its recording is judged as ``check`` does."""
+    opened = times_opened(model, monkeypatch)
+    load_robot_model(model)
+    once = len(opened)
+    opened.clear()
+    monkeypatch.setattr("time.sleep", refuse_real_time)
+    equipment = Equipment(RefusedClock(), refuse_real_time, COARSE_STEP)
+    motors = MotorsCommandLine(capsys, equipment)
     record = tmp_path / "measured.csv"
     arguments = ("--model", model, "--fd --rate 50 --overwrite --record", record)
-    out = succeed(capsys, "simulate", trajectory, *arguments)
+    out = motors.succeed("simulate", trajectory, *arguments)
     assert (
-        "played 26 cycles, 0 skipped; started late by 0.00 ms" in out and len(read) == 1
+        "played 26 cycles, 0 skipped; started late by 0.00 ms" in out
+        and len(opened) == 2 * once > 0
     )
     # The check that is printed records nothing.
     assert "Next, with the arm connected, check" in out and "--overwrite" not in out
@@ -315,27 +330,27 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     assert np.all(np.isfinite(recording.joint_values("pos")))
     first = record.read_bytes()
     # An arm that is exactly the model's, which has no friction.
-    out = succeed(capsys, "simulate", trajectory, *arguments, "--plant-model", model)
+    out = motors.succeed("simulate", trajectory, *arguments, "--plant-model", model)
     assert "--accept computed\n" in out and "knows nothing" not in out
     assert record.read_bytes() != first
-    out = succeed(capsys, "simulate", trajectory, *arguments, "--speed 0.9")
+    out = motors.succeed("simulate", trajectory, *arguments, "--speed 0.9")
     assert "Next, with the arm connected, check" in out and "identify" not in out
 
 
-def test_every_rate_that_is_proposed_passes(capsys, bus, trajectory):
+def test_every_rate_that_is_proposed_passes(motors, bus, trajectory):
     """Of a bus that is too full, on which answers come too late."""
     check = "check", trajectory, CAN0, "--rate"
-    code, out, _ = run(capsys, *check, "2000")
+    code, out, _ = motors.run(*check, "2000")
     rates = re.findall(r"use --rate (\S+)", out)
     assert code == 1 and len(rates) == 2
     for rate in rates:
-        succeed(capsys, *check, rate)
+        motors.succeed(*check, rate)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", ["", 'frictionloss=".3" damping=".4"'])
 def test_the_command_behind_a_rehearsal_identifies_the_simulated_arm(
-    command, arm_file, quickly, friction
+    command, arm_file, friction
 ):
     """From a motion planned for the arm, with friction and without."""
     joint = f'armature=".05" {friction}'

@@ -8,7 +8,6 @@ import shlex
 import pytest
 
 from rigs.arms import small_arms
-from rigs.files.command_line import fail, succeed
 from rigs.motors.damiao_rig import only_asks
 from robot_sysid.damiao.joints import read_joint_map
 from robot_sysid.damiao.protocol import (
@@ -32,24 +31,24 @@ def drives_nothing(frames):
     )
 
 
-def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
-    out = succeed(capsys, SETUP)
+def test_setup_alone_lists_the_motors_and_changes_nothing(motors, bus):
+    out = motors.succeed(SETUP)
     assert "DM4340" in out
     assert only_asks(bus.wire.sent)
 
 
-def test_a_bus_without_motors_is_said(capsys, bus):
+def test_a_bus_without_motors_is_said(motors, bus):
     for motor in bus.motors:
         motor.registers[Register.ESC_ID] = 20.0
     for command in (SETUP, f"{SETUP} --motor 1 --mit", "monitor --channel can0"):
-        assert "no motor answers: check power" in fail(capsys, 1, command)
+        assert "no motor answers: check power" in motors.fail(1, command)
 
 
-def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
+def test_setup_changes_what_it_is_told_and_says_what_was_there(motors, bus):
     motor = bus.motors[0]
     motor.registers[Register.CTRL_MODE] = 2.0
     options = "--motor 1 --new-id 5 --new-master-id 0x15 --mit --watchdog 0.2 --store"
-    out = succeed(capsys, SETUP, options)
+    out = motors.succeed(SETUP, options)
     assert (
         "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out
         and "ESC_ID=1 is now ESC_ID=5" in out
@@ -61,32 +60,32 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     assert bus.motors[1].stored == {} and drives_nothing(bus.wire.sent)
 
 
-def test_nothing_is_stored_unless_asked_for(capsys, bus):
-    out = succeed(capsys, SETUP, "--motor 1 --watchdog 0.2 --new-id 3")
+def test_nothing_is_stored_unless_asked_for(motors, bus):
+    out = motors.succeed(SETUP, "--motor 1 --watchdog 0.2 --new-id 3")
     motor = bus.motors[0]
     assert motor.registers[Register.TIMEOUT] == 4000.0 and motor.stored == {}
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
     assert "Done: motor 1 is changed, and forgets it when its power goes off\n" in out
     # The command that is printed stores them, under the new id.
     program, *words = shlex.split(re.search("  (robot-sysid motors setup .*)", out)[1])
-    out = succeed(capsys, *words[1:])
+    out = motors.succeed(*words[1:])
     assert motor.stored == motor.registers and motor.stored[Register.ESC_ID] == 3.0
     assert "forgets it" not in out and "Done: motor 3 is changed\n" in out
 
 
 @pytest.mark.parametrize("change", ["--mit", "--clear-error", "--store", "--new-id 3"])
-def test_an_enabled_motor_is_never_changed(capsys, bus, change):
+def test_an_enabled_motor_is_never_changed(motors, bus, change):
     bus.motors[0].status = ENABLED
     bus.motors[0].registers[Register.TIMEOUT] = 0.0
     registers = dict(bus.motors[0].registers)
-    err = fail(capsys, 3, SETUP, "--motor 1", change)
+    err = motors.fail(3, SETUP, "--motor 1", change)
     assert "motor 1 is enabled" in err
     assert bus.motors[0].registers == registers and only_asks(bus.wire.sent)
 
 
-def test_an_error_is_cleared_by_name(capsys, bus):
+def test_an_error_is_cleared_by_name(motors, bus):
     bus.motors[1].status = 0xA
-    out = succeed(capsys, SETUP, "--motor 2 --clear-error")
+    out = motors.succeed(SETUP, "--motor 2 --clear-error")
     assert "status A: over-current is now status 0" in out and "forgets" not in out
     assert bus.motors[1].status == DISABLED
 
@@ -102,27 +101,27 @@ REFUSED = {
 }
 
 
-def test_what_cannot_be_meant_is_refused(capsys, bus):
+def test_what_cannot_be_meant_is_refused(motors, bus):
     for options, message in REFUSED.items():
-        assert message in fail(capsys, 2, SETUP, options), options
+        assert message in motors.fail(2, SETUP, options), options
         assert only_asks(bus.wire.sent)
-    assert "no motor answers to CAN id 9" in fail(capsys, 3, SETUP, "--motor 9 --mit")
+    assert "no motor answers to CAN id 9" in motors.fail(3, SETUP, "--motor 9 --mit")
 
 
 @pytest.mark.parametrize("option", ["--new-master-id 0x13", "--new-id 3"])
 def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
-    capsys, bus, option
+    motors, bus, option
 ):
     """As they come from the factory: all answer on 0, and one's answers are another's commands."""
     for motor in bus.motors:
         motor.registers[Register.MST_ID] = 0.0
     bus.motors[1].registers[Register.MST_ID] = 0x101
-    succeed(capsys, SETUP, "--motor 1", option)
+    motors.succeed(SETUP, "--motor 1", option)
 
 
-def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
+def test_monitor_shows_the_motors_and_enables_nothing(motors, bus):
     bus.arm.mechanism.q[:] = [0.25, -0.5]
-    out = succeed(capsys, "monitor --channel can0 --for 1 --every 0.3")
+    out = motors.succeed("monitor --channel can0 --for 1 --every 0.3")
     assert out.count("0x11") == 4 and " 0.250 " in out and "-0.500" in out
     assert only_asks(bus.wire.sent)
 
@@ -142,7 +141,7 @@ def turned(bus):
 
 
 @pytest.mark.parametrize("answer", ["yes", "opposite"])
-def test_a_map_is_made_by_hand(capsys, bus, person, turned, tmp_path, model, answer):
+def test_a_map_is_made_by_hand(motors, bus, person, turned, tmp_path, model, answer):
     """The first joint has motor 2, mirrored; the second one motor 1. Each joint is turned in its
     positive direction, or, at an end of its range, the opposite way.
     """
@@ -159,7 +158,7 @@ def test_a_map_is_made_by_hand(capsys, bus, person, turned, tmp_path, model, ans
         turned(0, 0.4, "what?"),
     ]
     waiting += [turned(0, 0.4 * side, answer), home]
-    succeed(capsys, MAP, model, "--output", output)
+    motors.succeed(MAP, model, "--output", output)
     assert "move joint joint0 alone" in prompts[0]
     assert "no motor, or several, turned clearly" in prompts[1]
     assert "it was not said which way it moved; move joint joint1 alone" in prompts[3]
@@ -172,7 +171,7 @@ def test_a_map_is_made_by_hand(capsys, bus, person, turned, tmp_path, model, ans
     assert only_asks(bus.wire.sent)
 
 
-def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, model):
+def test_a_map_is_not_guessed(motors, bus, person, tmp_path, model):
     waiting, _ = person
     output = tmp_path / "map.csv"
 
@@ -181,14 +180,14 @@ def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, model):
         return "yes"
 
     waiting += [both] * 3
-    err = fail(capsys, 3, MAP, model, "--output", output)
+    err = motors.fail(3, MAP, model, "--output", output)
     assert "cannot be told which motor drives joint0" in err
     assert not output.exists()
 
 
 @pytest.mark.parametrize("answer", ["yes", "opposite"])
 def test_a_joint_that_cannot_have_gone_as_was_said_is_not_mapped(
-    capsys, bus, person, turned, tmp_path, arm_file, answer
+    motors, bus, person, turned, tmp_path, arm_file, answer
 ):
     """The second joint stands at the upper end of its range, which is the model's own pose."""
     model = small_arms.serial_arm((small_arms.Z, small_arms.Y), joint='range="-1 .001"')
@@ -198,22 +197,22 @@ def test_a_joint_that_cannot_have_gone_as_was_said_is_not_mapped(
     waiting.append(lambda: bus.arm.mechanism.q.fill(0.0))
     words = MAP, arm_file(model), "--output", output
     if answer == "opposite":
-        succeed(capsys, *words)
+        motors.succeed(*words)
         assert [row.direction for row in read_joint_map(output)] == [1, 1]
         return
-    err = fail(capsys, 3, *words)
+    err = motors.fail(3, *words)
     assert "joint joint1 would have been moved to 0.50 rad" in err
     assert not output.exists()
 
 
 def test_nobody_moves_an_arm_for_a_map_that_cannot_be_written(
-    capsys, bus, person, tmp_path, model
+    motors, bus, person, tmp_path, model
 ):
     for output, fault in {
         model: f"{model} exists; choose another --output",
         model / "map.csv": "is not a folder that may be written to",
     }.items():
-        assert fault in fail(capsys, 2, MAP, model, "--output", output)
+        assert fault in motors.fail(2, MAP, model, "--output", output)
     assert person[1] == [] and bus.wire.frames == []
 
 

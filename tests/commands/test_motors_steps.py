@@ -10,9 +10,7 @@ import pytest
 from rigs.arms import small_arms
 from rigs.arms.walk import in_haste
 from rigs.arms.wrong_arms import resting_torque
-from rigs.files.command_line import fail, succeed
 from rigs.motors.damiao_rig import fault, trajectory_file
-from robot_sysid.cli import main
 from robot_sysid.damiao.protocol import Register
 
 SETUP = "setup --channel can0"
@@ -37,10 +35,9 @@ def step_in(out):
     return shlex.split(line)[1:]
 
 
-def run(capsys, words, codes=(0,)):
+def run(motors, words, codes=(0,)):
     """Run the words of a command; return its output."""
-    code = main(in_haste(words))
-    out, err = capsys.readouterr()
+    code, out, err = motors.run_program(in_haste(words))
     assert code in codes, err
     return out
 
@@ -55,8 +52,8 @@ def still_trajectory(folder, n_joints=2):
     return trajectory_file(folder, (np.array([0.0, 1.0]), still, still, torque)).path
 
 
-def test_without_a_model_the_motors_are_watched(capsys, bus, model):
-    words = step_in(succeed(capsys, SETUP))
+def test_without_a_model_the_motors_are_watched(motors, bus, model):
+    words = step_in(motors.succeed(SETUP))
     assert words == ["motors", "monitor", "--channel", "can0"]
 
     def press():
@@ -64,26 +61,26 @@ def test_without_a_model_the_motors_are_watched(capsys, bus, model):
 
     # Until the person has seen enough.
     bus.at(5.0, press)
-    assert run(capsys, words, (0, 130)).count("0x11") > 2
+    assert run(motors, words, (0, 130)).count("0x11") > 2
 
 
 @pytest.mark.slow
-def test_from_the_motors_over_the_planned_motion_to_the_check(capsys, bus, model):
+def test_from_the_motors_over_the_planned_motion_to_the_check(motors, bus, model):
     """With the model a motion is planned for the types that the registers tell; then it is used."""
-    words = step_in(succeed(capsys, *SETUP.split(), "--model", model))
+    words = step_in(motors.succeed(*SETUP.split(), "--model", model))
     assert words[:2] == ["plan", str(model)]
     assert words.count("--motor-type") == 2 and "DM4340" in words
-    simulate = step_in(run(capsys, words))
+    simulate = step_in(run(motors, words))
     assert simulate[:2] == ["motors", "simulate"]
-    check = step_in(succeed(capsys, *SETUP.split(), "--model", model))
+    check = step_in(motors.succeed(*SETUP.split(), "--model", model))
     assert check[:3] == ["motors", "check", "planned/damiao_trajectory.csv"]
     # It runs as printed; what it still asks for is motors map, for joints that nobody has turned.
-    assert "motors map" in run(capsys, check, (1,))
-    assert "ready to play" in run(capsys, [*check, "--accept-directions"])
+    assert "motors map" in run(motors, check, (1,))
+    assert "ready to play" in run(motors, [*check, "--accept-directions"])
 
 
 def test_a_map_leads_to_a_plan_for_the_motors_of_the_joints(
-    capsys, bus, person, model, tmp_path
+    motors, bus, person, model, tmp_path
 ):
     """The first joint has motor 2, of another type."""
     for name, value in zip(("PMAX", "VMAX", "TMAX"), (12.5, 45.0, 54.0)):
@@ -97,7 +94,7 @@ def test_a_map_leads_to_a_plan_for_the_motors_of_the_joints(
         return turn_and_say
 
     person[0].extend([turn(1), turn(0), ""])
-    out = succeed(capsys, *["map", "--channel", "can0", "--model"], model)
+    out = motors.succeed(*["map", "--channel", "can0", "--model"], model)
     words = step_in(out)
     types = [word for flag, word in zip(words, words[1:]) if flag == "--motor-type"]
     assert types == ["DM8009", "DM4340"]
@@ -105,52 +102,52 @@ def test_a_map_leads_to_a_plan_for_the_motors_of_the_joints(
 
 
 @pytest.mark.parametrize("folder", [".", "planned", "sysid_output"])
-def test_a_planned_motion_is_found_and_checked(capsys, bus, model, tmp_path, folder):
+def test_a_planned_motion_is_found_and_checked(motors, bus, model, tmp_path, folder):
     path = still_trajectory(tmp_path / folder)
     for options in ((), ("--model", model)):
-        words = step_in(succeed(capsys, *SETUP.split(), *options))
+        words = step_in(motors.succeed(*SETUP.split(), *options))
         assert words[:2] == ["motors", "check"]
         assert tmp_path / words[2] == path
-        assert "ready to play" in run(capsys, [*words, "--accept-directions"])
+        assert "ready to play" in run(motors, [*words, "--accept-directions"])
 
 
-def test_the_motion_of_another_arm_is_not_proposed(capsys, bus, model, tmp_path):
+def test_the_motion_of_another_arm_is_not_proposed(motors, bus, model, tmp_path):
     still_trajectory(tmp_path, n_joints=3)
-    assert step_in(succeed(capsys, SETUP))[1] == "check"
-    assert step_in(succeed(capsys, *SETUP.split(), "--model", model))[0] == "plan"
+    assert step_in(motors.succeed(SETUP))[1] == "check"
+    assert step_in(motors.succeed(*SETUP.split(), "--model", model))[0] == "plan"
     (tmp_path / "damiao_trajectory.csv").write_text("no trajectory")
-    assert step_in(succeed(capsys, SETUP))[1] == "monitor"
+    assert step_in(motors.succeed(SETUP))[1] == "monitor"
 
 
-def test_no_motion_is_planned_for_motors_whose_type_is_not_known(capsys, bus, model):
+def test_no_motion_is_planned_for_motors_whose_type_is_not_known(motors, bus, model):
     bus.motors[1].registers[Register.TMAX] = 77.0
-    out = succeed(capsys, *SETUP.split(), "--model", model)
+    out = motors.succeed(*SETUP.split(), "--model", model)
     assert step_in(out) == ["motors", "monitor", "--channel", "can0"]
     assert "the registers of one motor per joint have to tell its type" in out
 
 
-def test_types_that_share_their_limits_are_not_guessed(capsys, bus, model):
+def test_types_that_share_their_limits_are_not_guessed(motors, bus, model):
     """DMH6215 and DMG6220."""
     for name, value in zip(("PMAX", "VMAX", "TMAX"), (12.5, 45.0, 10.0)):
         fault(0, **{name: value})(bus)
-    assert step_in(succeed(capsys, *SETUP.split(), "--model", model))[1] == "monitor"
+    assert step_in(motors.succeed(*SETUP.split(), "--model", model))[1] == "monitor"
 
 
-def test_a_model_that_cannot_be_read_changes_no_motor(capsys, bus, model):
+def test_a_model_that_cannot_be_read_changes_no_motor(motors, bus, model):
     model.write_text("<mujoco/>")
     words = *SETUP.split(), "--motor 1 --watchdog 0.2 --store", "--model", model
     registers = dict(bus.motors[0].registers)
-    fail(capsys, 2, *words)
+    motors.fail(2, *words)
     assert bus.motors[0].registers == registers and bus.wire.frames == []
 
 
-def test_options_about_a_model_need_one(capsys, bus):
-    err = fail(capsys, 2, *SETUP.split(), "--joint joint0")
+def test_options_about_a_model_need_one(motors, bus):
+    err = motors.fail(2, *SETUP.split(), "--joint joint0")
     assert "--joint is about a model; add --model" in err and bus.wire.frames == []
 
 
-def test_a_motor_with_a_new_id_is_found_under_it(capsys, bus, model):
+def test_a_motor_with_a_new_id_is_found_under_it(motors, bus, model):
     """The first joint's motor becomes motor 1."""
     bus.motors[0].registers[Register.ESC_ID] = 5.0
     words = *SETUP.split(), "--motor 5 --new-id 1 --store", "--model", model
-    assert step_in(succeed(capsys, *words))[0] == "plan"
+    assert step_in(motors.succeed(*words))[0] == "plan"

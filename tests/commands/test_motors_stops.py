@@ -11,7 +11,6 @@ import pytest
 
 from rigs.arms import small_arms
 from rigs.arms.wrong_arms import resting_torque
-from rigs.files.command_line import fail, run_motors, succeed
 from rigs.motors.damiao_rig import fault, map_line, only_asks, trajectory_file
 from robot_sysid.commands.motors import limp
 from robot_sysid.commands.motors.stops import HELD_LOOKS
@@ -97,14 +96,14 @@ SECOND = {"direction": 1, "offset": 0.3}
 
 
 def test_a_whole_map_is_made_with_zeros_from_the_stops(
-    capsys, bus, person, push, turn, files
+    motors, bus, person, push, turn, files
 ):
     """The first joint has motor 2, mirrored; the second one motor 1."""
     waiting, prompts = person
     words, output = files
     waiting += [turn(1, -0.5), turn(0, 0.5)]
     waiting += [push(1, *STOPS, **FIRST), push(0, UPPER, LOWER, **SECOND), "yes"]
-    out = succeed(capsys, *words)
+    out = motors.succeed(*words)
     first, second = read_joint_map(output)
     assert (first.name, first.can_id, first.direction) == ("joint0", 2, -1)
     assert (second.name, second.can_id, second.direction) == ("joint1", 1, 1)
@@ -119,12 +118,12 @@ def test_a_whole_map_is_made_with_zeros_from_the_stops(
 
 
 def test_a_map_that_exists_gets_new_zeros_and_nothing_else(
-    capsys, bus, person, push, files, earlier
+    motors, bus, person, push, files, earlier
 ):
     waiting, prompts = person
     words, output = files
     waiting += [push(1, *STOPS, **FIRST), push(0, *STOPS, **SECOND), "yes"]
-    out = succeed(capsys, *words, "--joint-map", earlier)
+    out = motors.succeed(*words, "--joint-map", earlier)
     rows = read_joint_map(output)
     before = read_joint_map(earlier)
     for row, old in zip(rows, before):
@@ -143,26 +142,26 @@ def test_a_map_that_exists_gets_new_zeros_and_nothing_else(
 
 
 def test_a_stop_that_was_not_reached_is_said_and_pushed_to_once_more(
-    capsys, bus, person, push, files, earlier
+    motors, bus, person, push, files, earlier
 ):
     waiting, _ = person
     words, output = files
     waiting += [push(1, LOWER, 1.0, **FIRST), push(1, UPPER, **FIRST)]
     waiting += [push(0, *STOPS, **SECOND), "yes"]
-    out = succeed(capsys, *words, "--joint-map", earlier)
+    out = motors.succeed(*words, "--joint-map", earlier)
     assert "2.200 rad apart; the model's range is 3.200 rad: a stop was not" in out
     assert read_joint_map(output)[2].offset == pytest.approx(0.7, abs=5e-4)
 
 
 def test_a_zero_that_the_stops_contradict_may_only_be_kept(
-    capsys, bus, person, push, files, earlier
+    motors, bus, person, push, files, earlier
 ):
     """Of an encoder that reads 10 % too much."""
     waiting, _ = person
     words, output = files
     too_far = 1.1 * LOWER, 1.1 * UPPER
     waiting += [push(1, *too_far, **FIRST), "keep", push(0, *STOPS, **SECOND), "yes"]
-    out = succeed(capsys, *words, "--joint-map", earlier)
+    out = motors.succeed(*words, "--joint-map", earlier)
     assert "the range in the model is narrower than the mechanical one" in out
     assert "0.6000 -> as before" in out and "+0.320" in out
     assert [row.offset for row in read_joint_map(output)] == [0.3, 0.3, 0.6]
@@ -243,12 +242,12 @@ REFUSED = {
 
 @pytest.mark.parametrize("what", REFUSED, ids=lambda what: what.__name__)
 def test_nothing_is_written_where_something_goes_wrong(
-    capsys, bus, person, push, files, earlier, what
+    motors, bus, person, push, files, earlier, what
 ):
     code, message = REFUSED[what]
     words, output = files
     person[0].extend(what(bus, push))
-    actual_code, out, err = run_motors(capsys, *words, "--joint-map", earlier)
+    actual_code, out, err = motors.run(*words, "--joint-map", earlier)
     assert actual_code == code and message in err
     assert code == 130 or "nothing was written" in err
     assert not output.exists() and only_asks(bus.wire.sent)
@@ -257,28 +256,28 @@ def test_nothing_is_written_where_something_goes_wrong(
 
 
 def test_a_new_map_is_not_written_with_a_zero_that_the_stops_contradict(
-    capsys, bus, person, push, turn, files
+    motors, bus, person, push, turn, files
 ):
     """There is no earlier zero to keep."""
     waiting, prompts = person
     words, output = files
     waiting += [turn(1, -0.5), turn(0, 0.5)]
     waiting += [push(1, LOWER, 1.0, **FIRST, answer="keep")]
-    err = fail(capsys, 2, *words)
+    err = motors.fail(2, *words)
     assert "'keep' is not what was asked for; nothing was written" in err
     assert "keep" not in "".join(prompts) and not output.exists()
 
 
 @pytest.mark.parametrize("answer", ["", "keep"])
 def test_a_joint_without_a_range_gets_its_zero_by_the_pose(
-    capsys, bus, person, push, files, earlier, arm_file, answer
+    motors, bus, person, push, files, earlier, arm_file, answer
 ):
     waiting, prompts = person
     words, output = files
     endless = MODEL.replace(f'range="{LOWER} {UPPER}"', "", 1)
     model = arm_file(endless, "endless.xml")
     waiting += [push(0, *STOPS, **SECOND), push(1, 0.0, **FIRST, answer=answer), "yes"]
-    out = succeed(capsys, *words, "--model", model, "--joint-map", earlier)
+    out = motors.succeed(*words, "--model", model, "--joint-map", earlier)
     assert "without a range in the model" in out and "joint0" in prompts[1]
     expected = 0.6 if answer else 0.7
     assert read_joint_map(output)[2].offset == pytest.approx(expected, abs=5e-4)
@@ -286,20 +285,20 @@ def test_a_joint_without_a_range_gets_its_zero_by_the_pose(
 
 
 def test_a_map_of_other_motors_is_refused_before_anybody_pushes(
-    capsys, bus, person, files, earlier
+    motors, bus, person, files, earlier
 ):
     words, _ = files
     bus.motors[0].registers[8] = 9.0
     earlier_words = "--joint-map", earlier
-    assert "motor 1 (joint joint1) does not" in fail(capsys, 3, *words, *earlier_words)
+    assert "motor 1 (joint joint1) does not" in motors.fail(3, *words, *earlier_words)
     without_stops = [w for w in words if w != "--zeros-at-stops"]
     text = without_stops[0].replace(" --zeros-at-stops", "")
-    err = fail(capsys, 2, text, *without_stops[1:], *earlier_words)
+    err = motors.fail(2, text, *without_stops[1:], *earlier_words)
     assert "add --zeros-at-stops" in err and person[1] == []
 
 
 def test_the_command_that_is_printed_runs(
-    capsys, bus, person, push, files, earlier, monkeypatch, tmp_path
+    motors, bus, person, push, files, earlier, monkeypatch, tmp_path
 ):
     """It checks the motors for a motion that is planned already, with the new map."""
     monkeypatch.chdir(tmp_path)
@@ -311,8 +310,8 @@ def test_the_command_that_is_printed_runs(
     waiting, _ = person
     words, output = files
     waiting += [push(1, *STOPS, 0.0, **FIRST), push(0, *STOPS, 0.0, **SECOND), "yes"]
-    out = succeed(capsys, *words, "--joint-map", earlier)
+    out = motors.succeed(*words, "--joint-map", earlier)
     line = out.splitlines()[-1]
     assert "motors check damiao_trajectory.csv" in line and str(output) in line
-    code, out, err = run_motors(capsys, *shlex.split(line)[2:])
+    code, out, err = motors.run(*shlex.split(line)[2:])
     assert code == 0 and "ready to play" in out, err

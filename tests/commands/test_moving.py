@@ -13,14 +13,8 @@ from numpy.testing import assert_allclose
 
 from rigs.arms import small_arms
 from rigs.arms.wrong_arms import resting_torque
-from rigs.files.command_line import fail, run_motors, succeed
 from rigs.motors.clocks import heard_signals
-from rigs.motors.damiao_rig import (
-    MotorBus,
-    only_asks,
-    trajectory_of,
-    with_coarse_physics,
-)
+from rigs.motors.damiao_rig import MotorBus, only_asks, trajectory_of
 from rigs.motors.recordings import read_recording
 from robot_sysid.commands.motors.moving import goal_pose, moving_activity, moving_plan
 from robot_sysid.damiao.joints import damiao_joints
@@ -120,14 +114,14 @@ def test_the_motion_that_is_played_is_the_checked_one(start, goal, sunk):
 
 
 @pytest.fixture
-def bus(monkeypatch):
+def bus():
     """The arm of the model with motors, which stands in a pose that is no keyframe."""
     mechanism = ArmStepper(ROBOT, START, 2e-3)
     joints = damiao_joints(["DM4340"] * 2, 2)
     bus = MotorBus(joints, mechanism, watchdog=0.15, echo=True)
     bus.arm.takes_whole_steps = True
     with heard_signals():
-        yield bus.open_for_commands(monkeypatch)
+        yield bus
 
 
 def last_position(bus):
@@ -135,7 +129,7 @@ def last_position(bus):
     return next(q for time, q, _ in bus.arm.truth if time >= bus.arm.off_at - 2e-3)
 
 
-def test_an_arm_is_moved_to_a_keyframe_and_disabled(capsys, bus, arm_file, tmp_path):
+def test_an_arm_is_moved_to_a_keyframe_and_disabled(motors, bus, arm_file, tmp_path):
     record = tmp_path / "move.csv"
     words = (
         "move --to home --yes",
@@ -145,7 +139,7 @@ def test_an_arm_is_moved_to_a_keyframe_and_disabled(capsys, bus, arm_file, tmp_p
         "--record",
         record,
     )
-    out = succeed(capsys, *words)
+    out = motors.succeed(*words)
     assert "moving to home (2.3 s)" in out and "Done: moved to home" in out
     bus.arm.advance(bus.clock.now() + 0.1)
     assert_allclose(last_position(bus), [0.1, 0.2], atol=0.01)
@@ -155,14 +149,14 @@ def test_an_arm_is_moved_to_a_keyframe_and_disabled(capsys, bus, arm_file, tmp_p
 
 
 def test_the_person_is_asked_and_nothing_moves_without_a_yes(
-    capsys, bus, arm_file, monkeypatch
+    motors, bus, arm_file, monkeypatch
 ):
     words = "move --to 0 0", USUAL, "--model", arm_file(MODEL)
-    assert "give --yes" in fail(capsys, 2, *words)
+    assert "give --yes" in motors.fail(2, *words)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     prompts = []
     monkeypatch.setattr("builtins.input", lambda prompt: prompts.append(prompt) or "no")
-    assert "not confirmed; nothing was moved" in fail(capsys, 2, *words)
+    assert "not confirmed; nothing was moved" in motors.fail(2, *words)
     assert "The arm will move" in prompts[0] and only_asks(bus.wire.sent)
 
 
@@ -181,11 +175,11 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_way_that_is_not_free_is_refused_before_anything_moves(
-    capsys, bus, arm_file, name
+    motors, bus, arm_file, name
 ):
     code, model, goal, message = REFUSED[name]
     words = "move --yes", goal, USUAL, "--model", arm_file(model)
-    err = fail(capsys, code, *words)
+    err = motors.fail(code, *words)
     assert message in err
     assert only_asks(bus.wire.sent) and bus.states() == [DISABLED] * 2
     if name in ("too far", "a wall"):
@@ -193,49 +187,46 @@ def test_a_way_that_is_not_free_is_refused_before_anything_moves(
 
 
 def test_a_pose_that_does_not_exist_is_refused_before_a_motor_is_asked(
-    capsys, bus, arm_file
+    motors, bus, arm_file
 ):
-    fail(capsys, 2, "move --yes --to sleep", USUAL, "--model", arm_file(MODEL))
+    motors.fail(2, "move --yes --to sleep", USUAL, "--model", arm_file(MODEL))
     assert bus.wire.frames == []
 
 
 def test_joints_of_which_nobody_knows_how_they_turn_are_not_moved(
-    capsys, bus, arm_file
+    motors, bus, arm_file
 ):
     upright = MODEL.replace(f'axis="{small_arms.Y}"', f'axis="{small_arms.Z}"', 1)
     words = "move --yes --to up --rate 100 --channel can0 --model", arm_file(upright)
-    err = fail(capsys, 3, *words)
+    err = motors.fail(3, *words)
     assert "nobody has verified which way motor 1 (joint joint0)" in err
     assert only_asks(bus.wire.sent)
 
 
 def test_a_simulated_arm_is_moved_and_the_printed_command_moves_the_real_one(
-    capsys, bus, arm_file, monkeypatch, tmp_path
+    motors, bus, arm_file, monkeypatch, tmp_path
 ):
     """And the command behind that plans a motion for the motors that it has met."""
     monkeypatch.chdir(tmp_path)
-    with_coarse_physics(monkeypatch)
     model = arm_file(MODEL)
     words = "move --simulate --to 2 --pose .3 0 --motor-type DM4340 --rate 100 --model"
-    out = succeed(capsys, words, model, "--accept-directions")
+    out = motors.succeed(words, model, "--accept-directions")
     assert bus.wire.frames == [] and "moving to 2" in out
     line = out.splitlines()[-1]
     assert "--to 2" in line and "--channel can0" in line
-    out = succeed(capsys, *shlex.split(line)[2:], "--yes")
+    out = motors.succeed(*shlex.split(line)[2:], "--yes")
     assert "moving to 2" in out
     step = out.splitlines()[-1]
     assert step.startswith(f"  robot-sysid plan {model} --for arm --export-damiao")
 
 
 @pytest.mark.slow
-def test_an_arm_that_is_not_its_model_s_is_stopped_and_held(
-    capsys, bus, arm_file, monkeypatch
-):
+def test_an_arm_that_is_not_its_model_s_is_stopped_and_held(motors, bus, arm_file):
     """Its model is a tenth as heavy: it sags from its path, and is stopped as by play."""
     light = MODEL.replace('mass="1.2"', 'mass=".02"').replace('mass=".8"', 'mass=".01"')
     light = re.sub('fullinertia="[^"]*"', 'diaginertia=".001 .001 .001"', light)
     words = "move --yes --to 1 1 --kp 8", USUAL, "--model", arm_file(light)
-    code, _, err = run_motors(capsys, *words)
+    code, _, err = motors.run(*words)
     assert code == 3 and "motor" in err
     bus.arm.advance(bus.clock.now() + 0.1)
     assert bus.states() == [DISABLED] * 2

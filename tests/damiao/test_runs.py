@@ -228,7 +228,7 @@ def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
 
 def as_if_somebody_talked(run):
     for k in range(10):
-        run.bus.talk(0.004 * k, CanFrame(0x11, bytes(8)))
+        run.bus.send_when_free(0.004 * k, CanFrame(0x11, bytes(8)))
 
 
 def extra(*joint):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -32,9 +33,11 @@ from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.after_run import judge_run, recorded_plan
 from robot_sysid.damiao.checks.preflight import stops
 from robot_sysid.damiao.execution import (
+    COMPUTER,
     LIMIT_OPTIONS,
     SIMULATED_OPTIONS,
     ArmFiles,
+    Equipment,
     RunOptions,
 )
 from robot_sysid.damiao.protocol import BusTiming
@@ -112,6 +115,7 @@ def run_command(
     name: str,
     values: Mapping[str, Any],
     console: Console,
+    equipment: Equipment = COMPUTER,
 ) -> int:
     """Run a command on motors, print its verdict and its result; return its exit code.
 
@@ -123,6 +127,7 @@ def run_command(
         name: of the command, without "motors".
         values: of the options, by key.
         console: prints what happens.
+        equipment: clock and adapters.
     """
     session: Session | None = None
 
@@ -139,7 +144,7 @@ def run_command(
 
     try:
         choices = record_from(PlayChoices, values)
-        session = Session(RunOptions.of(values), console, choices)
+        session = Session(RunOptions.of(values), console, choices, equipment)
         code = action(session, *(record_from(each, values) for each in own_options))
         console.stage(*session.verdict)
     except SysidError as error:
@@ -303,6 +308,21 @@ _PLAYED = (
         own_options=(MapOptions,),
     ),
 )
+
+
+def commands_with(equipment: Equipment) -> list[Command]:
+    """Return the commands on motors that run with other equipment than this computer's.
+
+    A program that has a bus of its own hands them to ``cli.main``.
+    """
+
+    def with_it(command: Command) -> Command:
+        run: Callable[..., int] = command.run
+        return replace(command, run=partial(run, equipment=equipment))
+
+    return [*map(with_it, _PLAYED)]
+
+
 _NAMES = [command.name.split()[1] for command in _PLAYED]
 
 

@@ -14,7 +14,14 @@ import numpy as np
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, inspect_bus
 from robot_sysid.damiao.checks.preflight import require_playable
-from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun, RunOptions, run
+from robot_sysid.damiao.execution import (
+    COMPUTER,
+    RUN_OPTIONS,
+    Equipment,
+    MotorRun,
+    RunOptions,
+    run,
+)
 from robot_sysid.damiao.joints import DamiaoJoint, matching_types
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_text
@@ -67,6 +74,7 @@ class Session(MotorRun):
         options: of the run.
         console: prints what happens.
         choices: whether a person is asked before the arm moves.
+        equipment: clock and adapters.
 
     Attributes:
         console, choices: as given.
@@ -79,8 +87,9 @@ class Session(MotorRun):
         options: RunOptions,
         console: Console,
         choices: PlayChoices = PlayChoices(),
+        equipment: Equipment = COMPUTER,
     ) -> None:
-        super().__init__(options)
+        super().__init__(options, equipment)
         self.console = console
         self.choices = choices
         self.verdict: tuple[str, ...] = ()
