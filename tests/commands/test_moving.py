@@ -225,7 +225,7 @@ def test_an_arm_that_is_not_its_model_s_is_stopped_and_held(motors, bus, arm_fil
     """Its model is a tenth as heavy: it sags from its path, and is stopped as by play."""
     light = MODEL.replace('mass="1.2"', 'mass=".02"').replace('mass=".8"', 'mass=".01"')
     light = re.sub('fullinertia="[^"]*"', 'diaginertia=".001 .001 .001"', light)
-    words = "move --yes --to 1 1 --kp 8", USUAL, "--model", arm_file(light)
+    words = "move --yes --to 1 1 --kp 5", USUAL, "--model", arm_file(light)
     code, _, err = motors.run(*words)
     assert code == 3 and "motor" in err
     bus.arm.advance(bus.clock.now() + 0.1)
