@@ -186,8 +186,8 @@ class NoiseStudy:
             plain_errors.append(self.errors(plain))
             stated = dict(zip(estimate.names, estimate.errors))
             reach.append([NORMAL_95 * stated.get(name, 0.0) for name in self.names])
-            constrained += not plain.equations.are_possible(plain.values)
-            impossible += not estimate.equations.are_possible(estimate.values)
+            constrained += not plain.equations.are_possible_bodies(plain.values)
+            impossible += not estimate.equations.are_possible_bodies(estimate.values)
         return Outcome(
             self.names,
             np.array(errors),

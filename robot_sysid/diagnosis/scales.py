@@ -40,12 +40,13 @@ from robot_sysid.estimate.fit import Fit, LeftOut, Problem
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.offers import Effect
 from robot_sysid.estimate.questions import arm_question
-from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
+from robot_sysid.estimate.terms import PAYLOAD_NAMES, SCALES, ArmTerms, Prior, Term
 from robot_sysid.model.units import mass_unit
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
-from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, torque_unit, with_error
+from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale
 from robot_sysid.wording import option_name, with_option_names
 
 ODD = 1.3
@@ -69,6 +70,13 @@ ROUNDS = 8
 """Most rounds: of currents in per cent, whose scales differ by a factor of ten, it takes seven."""
 FOUND = 0.02
 """Relative change of a scale below which it has been found."""
+UNSETTLED = 0.2
+"""Relative change of a scale in the last round from which on it is none: links and scales chase one
+another, as where a last link may have any mass."""
+TOOL = (0.5, 0.2)
+"""How far the last link, or a payload, may be from the model's: its mass as a share of the arm's,
+its size as one of the arm's length. The heaviest tools that arms may carry have half of their mass.
+Without it, a last link of negative mass cancels the others' weight, whatever the scale."""
 OWN_PRIOR = 0.7
 """Prior of the logarithm of a joint's scale over the common one: wide enough for per cent of rated
 torque, which differ by a factor of ten. What no torque shows stays at the common one."""
@@ -79,7 +87,11 @@ LEAST_RATIO = 1e-3
 STEP = (0.2, 5.0)
 """Least and largest factor by which a scale changes in one round."""
 SURE_SCALE = 0.4
-"""Relative error of a joint's scale above which it is not identified."""
+"""Relative error of a joint's scale above which it is not identified, unless it is ``SURE`` errors
+from one: elbow and forearm of a TIAGo, whose torques have no unit, have 0.1 +- 0.06."""
+VAGUE = 0.35
+"""Relative error of the common scale from which on it has to be sure by ``SURE`` errors, not by
+``INTERVAL``: right logs of an AIRBOT Play and an FR3 have 0.39 +- 0.17 and 4.3 +- 3.1."""
 SPREAD = 0.4
 """Standard deviation of the logarithm of a joint's scale over the common one: gains of motor
 currents of one arm differ by a factor of two."""
@@ -112,12 +124,14 @@ class TorqueScales:
         values: (J,) scale of each joint; negative where the torque has the opposite sign.
         covariance: (J, J) of their logarithms, by noise, links as wrong as usual, and blocks.
         is_loaded: (J,) which joints links load.
+        is_settled: (J,) which scales did not change any more.
         coarse: by which positions that are coarse or seldom make all columns wrong, as a share.
     """
 
     values: Array
     covariance: Array
     is_loaded: NDArray[np.bool_]
+    is_settled: NDArray[np.bool_]
     coarse: float
 
     @property
@@ -128,7 +142,8 @@ class TorqueScales:
     @property
     def are_sure(self) -> NDArray[np.bool_]:
         """Which scales (J,) are identified."""
-        sure = self.errors < SURE_SCALE
+        is_other = np.abs(np.log(np.abs(self.values))) > SURE * self.errors
+        sure = self.is_settled & (is_other | (self.errors < SURE_SCALE))
         # The torque of the last joint is that of the last link alone, which is not known.
         sure[-1] &= self.is_loaded[-1]
         return np.asarray(sure)
@@ -160,7 +175,7 @@ class TorqueScales:
         """
         known = self.are_sure & self.is_loaded
         if not np.any(known):
-            known = self.is_loaded
+            known = self.is_loaded & self.is_settled
         if not np.any(known):
             return 1.0, np.inf
         weights = self.errors[known] ** -2.0
@@ -173,7 +188,8 @@ class TorqueScales:
     def is_odd(self) -> bool:
         """Whether the common scale is clearly ``ODD``."""
         factor, error = self.common
-        return abs(np.log(factor)) >= max(np.log(ODD), INTERVAL * error)
+        level = INTERVAL if error < VAGUE else SURE
+        return bool(abs(np.log(factor)) >= max(np.log(ODD), level * error))
 
     @property
     def known_values(self) -> Array:
@@ -213,22 +229,30 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     opposes = is_loaded & (share * torque < -OPPOSING * fitted.sums.rms_torque)
     scale[opposes & is_foreign(fitted)] *= -1.0
     for _ in range(ROUNDS):
-        # A scale multiplies the links as they are found: with the model's, a last link that no
-        # other joint shows would give way to its joint's scale, round after round.
-        sums = arm.sums(recordings, point)
-        scaled = sums.with_torque_times(1.0 / scale)
+        # A scale multiplies the links as they are found with the scales so far: with the model's, a
+        # last link that no other joint shows would give way to its joint's scale, round after
+        # round; with those of the fit that changed the scales, both would go too far.
+        sums = arm.sums(recordings, point).with_torque_times(1.0 / scale)
         prior = Prior(-np.log(np.abs(scale) / typical), factor)
         terms = [
-            replace(term, prior=prior) if term.cause == SCALES else term
-            for term in arm_question(arm, question, scaled.rms_torque)
+            with_tool_prior(arm, term)
+            for term in arm_question(arm, question, sums.rms_torque)
         ]
-        scaled, terms = with_effects(scaled, terms, effects)
-        problem = Problem(arm, recordings, point, scaled, question)
+        held = [term for term in terms if term.cause != SCALES]
+        sums_of_held, held = with_effects(sums, held, effects)
+        problem = Problem(arm, recordings, point, sums_of_held, question)
+        point = problem.fit(held, correlation=correlation, possible=False).next_point()
+        sums = arm.sums(recordings, point).with_torque_times(1.0 / scale)
+        terms = [
+            replace(term, prior=prior) if term.cause == SCALES else term
+            for term in terms
+        ]
+        sums, terms = with_effects(sums, terms, effects)
+        problem = Problem(arm, recordings, point, sums, question)
         after = problem.fit(terms, correlation=correlation, possible=False)
         at = after.at(arm.terms[SCALES].names)
         change = np.clip(1.0 + after.free[at], *STEP)
         scale = scale * change
-        point = after.next_point()
         if np.max(np.abs(np.log(change))) < FOUND:
             break
     # Links that are off are the same in all blocks, and make most of the formal error; what blocks
@@ -239,7 +263,18 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     covariance = after.inverse[np.ix_(at, at)] + jackknife
     coarse = max(each.acceleration_error for each in fitted.recordings)
     relative = covariance / np.outer(change, change)
-    return TorqueScales(scale, relative, is_loaded, coarse)
+    is_settled = np.abs(np.log(change)) < UNSETTLED
+    return TorqueScales(scale, relative, is_loaded, is_settled, coarse)
+
+
+def with_tool_prior(arm: ArmTerms, term: Term) -> Term:
+    """Return a term with the prior of a tool, if it is the last link or the payload."""
+    if term.names[0] not in (PARAMETER_NAMES[0], PAYLOAD_NAMES[0]):
+        return term
+    mass, size = TOOL
+    robot = arm.robot
+    deviations = parameter_scale(mass * robot.mass, size * robot.length)
+    return replace(term, prior=Prior(term.reference, np.diag(deviations)))
 
 
 class ScaleCorrections:
