@@ -103,13 +103,17 @@ def in_haste(words: list[str]) -> list[str]:
     return [*words, *HASTE] if words[0] == "plan" else words
 
 
-def run_here(line: str, commands: Sequence[Command] = ()) -> tuple[int, str]:
+def run_here(
+    line: str, commands: Sequence[Command] = (), is_hasty: bool = False
+) -> tuple[int, str]:
     """Run a command line in this process; return its exit code and all that it printed.
 
-    ``commands`` are those of ``cli.main``.
+    The code is 127, as of a shell, where the line is none that a shell takes for one command.
 
-    The code is 127, as of a shell, where the line is none that a shell takes for one command. Plans
-    are hardly searched for, because only what is printed counts.
+    Args:
+        line: as it is typed.
+        commands: those of ``cli.main``.
+        is_hasty: whether plans are hardly searched for, because only what is printed counts.
     """
     lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
     lexer.whitespace_split = True
@@ -117,7 +121,8 @@ def run_here(line: str, commands: Sequence[Command] = ()) -> tuple[int, str]:
         return 127, "syntax error"
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-        code = main(in_haste(shlex.split(line)[1:]), commands)
+        words = shlex.split(line)[1:]
+        code = main(in_haste(words) if is_hasty else words, commands)
     return code, output.getvalue()
 
 
@@ -176,7 +181,7 @@ class Walk:
         while waiting and len(self.steps) < MOST_STEPS:
             line = waiting.pop(0)
             self._record_missing(line)
-            self.steps.append(Step(line, *run_here(line)))
+            self.steps.append(Step(line, *run_here(line, is_hasty=True)))
             output = self.steps[-1].output
             for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
                 mujoco.MjModel.from_xml_path(json.loads(path))
@@ -191,7 +196,7 @@ class Walk:
             waiting += next_commands
             for remedy in remedies if self._runs_remedies else ():
                 self._record_missing(remedy)
-                self.remedies.append(Step(remedy, *run_here(remedy)))
+                self.remedies.append(Step(remedy, *run_here(remedy, is_hasty=True)))
         self.steps += [Step(line, 125, "not reached") for line in waiting]
         return self.steps
 
