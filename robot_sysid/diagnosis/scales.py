@@ -5,8 +5,9 @@ factor. Throughout, J is the number of joints with equations, n that of the chai
 is the ratio of recorded to true torque.
 
 The scales are the terms of torque scales in the one fit, with a wide prior: a part that all joints
-have in common, and one of each joint. Torques are divided by what is found, and fitted again, until
-nothing changes (Gauss-Newton on the logarithm of the scales).
+have in common, and one of each joint. Torques are divided by what is found, the links are fitted to
+them, and the scales again beside these links, until nothing changes (Gauss-Newton on the logarithm
+of the scales, with the links eliminated).
 """
 
 from __future__ import annotations
