@@ -156,9 +156,13 @@ class TorqueScales:
 
     @property
     def differ(self) -> bool:
-        """Whether joints have scales of their own."""
+        """Whether joints have scales of their own: clearly other ones, or turned signs."""
+        if np.any(self.values[self.are_sure] < 0.0):
+            return True
         known = np.log(np.abs(self.values[self.are_sure]))
-        return bool(np.ptp(known) >= np.log(COMMON))
+        errors = self.own_errors[[np.argmin(known), np.argmax(known)]]
+        clear = INTERVAL * float(np.hypot(*errors))
+        return bool(np.ptp(known) >= max(np.log(COMMON), clear))
 
     @property
     def own_errors(self) -> Array:
