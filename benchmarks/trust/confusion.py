@@ -1,12 +1,15 @@
 """Which faults the checks name for logs and models with one known fault, and what others cost.
 
-    python -m benchmarks.trust.confusion MODELS_FOLDER [--arms ur5e iiwa14 ...]
+    python -m benchmarks.trust.confusion MODELS_FOLDER [--arms ur5e drawn-3 ARM.urdf ...]
         [--causes ripple ...]
         [--deviations real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers] [--jobs 1]
 
 ``--causes`` takes the names of causes, "usual" for those of ``benchmarks.trust.confusion_causes``
 and "mistakes" for those of ``benchmarks.trust.confusion_mistakes``. Logs are judged in so many
 processes at once as ``--jobs`` says.
+
+``--arms`` takes names of public arms, files of models, and "drawn-1", "drawn-2", ... for models
+that are drawn at random (``rigs.arms.drawn_models``).
 
 Arms are drawn as in ``benchmarks.trust.real_arms``, one per model, deviation and seed, the same for
 all causes and durations, so that rows can be compared. Causes without a fault ("right" has logs of
@@ -35,10 +38,10 @@ Then they are counted by what they cost:
 
 stopped     refused, or doubted: a user has no answer
 no use      there is an answer, but its verdict is against it
-harmful     a trusted mass of the last link that is 20 % and two stated errors off: of the answer,
-            or of the one after following advice: options or columns that a finding states, or
-            accepting its doubts
-off         a trusted answer's mass that is two stated errors off (harmful ones included)
+harmful     a trusted mass that is 20 % off, and two stated errors (the last link's) or three (one
+            of the other links'): of the answer, or of the one after following advice: options or
+            columns that a finding states, or accepting its doubts
+off         a trusted answer's last mass that is two stated errors off
 sound       any other trusted mass
 
 A command that ends with a traceback is found as "crash", and refused. Then come the mean processor
@@ -56,7 +59,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -79,7 +82,8 @@ from benchmarks.trust.confusion_causes import CAUSES as USUAL_CAUSES
 from benchmarks.trust.confusion_causes import RIGHT, Cause, Scene, draw_scene
 from benchmarks.trust.confusion_mistakes import MISTAKES
 from benchmarks.trust.real_arms import arms_parser
-from rigs.arms.wrong_arms import ARMS, DEVIATIONS
+from rigs.arms.drawn_models import model_path
+from rigs.arms.wrong_arms import DEVIATIONS
 from rigs.files.params import motors, rows
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording
@@ -96,6 +100,8 @@ COSTS = ("stopped", "no use", "harmful", "off", "sound")
 FAR = 0.2
 SURE = 2.0
 """Part of the true mass, and stated errors, by which an answer is off."""
+SURE_OF_MANY = 3.0
+"""The same errors where one of several other links counts."""
 SHOWN_TEXT = 110
 """Characters of a finding that are printed."""
 ALTERNATIVES = "; or "
@@ -147,6 +153,7 @@ class Answer:
 
     Attributes:
         mass, error, true_mass: NaN where the identification fails.
+        other_masses: (mass, error, true mass) of each other link that is identified.
         is_trusted: whether the verdict is for it.
         motors: those over two joints that are found.
         remarks: what is said of the result.
@@ -159,12 +166,8 @@ class Answer:
     is_trusted: bool
     motors: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    other_masses: tuple[tuple[float, float, float], ...] = ()
     crash: str = ""
-
-    @property
-    def is_far(self) -> bool:
-        """Return whether the mass is off by more than 20 %."""
-        return abs(self.mass - self.true_mass) > FAR * self.true_mass
 
     @property
     def is_beyond_error(self) -> bool:
@@ -174,7 +177,9 @@ class Answer:
     @property
     def is_harmful(self) -> bool:
         """Return whether it is trusted and clearly wrong."""
-        return self.is_trusted and self.is_far and self.is_beyond_error
+        last = is_far(self.mass, self.error, self.true_mass, SURE)
+        others = any(is_far(*each, SURE_OF_MANY) for each in self.other_masses)
+        return self.is_trusted and (last or others)
 
     def describe(self) -> str:
         """Return it in words."""
@@ -183,7 +188,20 @@ class Answer:
         if np.isnan(self.mass):
             return "the identification fails"
         verdict = "trusted" if self.is_trusted else "not trusted"
-        return f"mass {self.mass:.3g} ± {self.error:.2g} kg ({self.true_mass:.3g}), {verdict}"
+        others = [
+            f", another link {mass:.3g} ± {error:.2g} kg ({true:.3g})"
+            for mass, error, true in self.other_masses
+            if is_far(mass, error, true, SURE_OF_MANY)
+        ]
+        return (
+            f"mass {self.mass:.3g} ± {self.error:.2g} kg ({self.true_mass:.3g})"
+            f"{''.join(others)}, {verdict}"
+        )
+
+
+def is_far(mass: float, error: float, true: float, errors: float) -> bool:
+    """Return whether a mass is 20 % and so many stated errors off the true one."""
+    return abs(mass - true) > max(FAR * true, errors * error)
 
 
 @dataclass(frozen=True)
@@ -336,7 +354,19 @@ class Judge:
             content["valid"]["trustworthy"],
             tuple(motors(content)),
             tuple(remark["text"] for remark in content["remarks"]),
+            tuple(self.other_masses(content)),
         )
+
+    def other_masses(
+        self, content: dict[str, Any]
+    ) -> Iterator[tuple[float, float, float]]:
+        """Yield (mass, error, true mass) of each other link that is identified."""
+        answer = rows(content)
+        links = self.scene.robot.links[:-1]
+        for link, theta in zip(links, self.scene.arm.thetas):
+            row = answer.get((link.body_name, "mass"))
+            if row is not None and row["error"] is not None:
+                yield float(row["value"]), float(row["error"]), float(theta[0])
 
     def follow_advice(self, findings: Sequence[Finding]) -> Iterator[Answer]:
         """Yield the answers after following findings' advice, and after accepting doubts."""
@@ -391,9 +421,14 @@ class Case:
             f"{RIGHT} {self.deviation} {self.duration:g} s" if is_right else self.cause
         )
 
-    def run(self, models: Path, is_answered: bool) -> Outcome:
-        """Return the outcome of the case's log, of an arm that differs from its model file."""
-        path = models / ARMS[self.arm_name]
+    def run(self, paths: Mapping[str, Path], is_answered: bool) -> Outcome:
+        """Return the outcome of the case's log, of an arm that differs from its model file.
+
+        Args:
+            paths: model file by the arm's name.
+            is_answered: whether the log is identified, too.
+        """
+        path = paths[self.arm_name]
         cause = CAUSES[self.cause]
         duration = cause.duration or self.duration
         scene = draw_scene(path, self.arm_name, self.deviation, duration, self.seed)
@@ -408,7 +443,7 @@ class Case:
 
     def describe_failure(self, outcome: Outcome) -> str:
         """Return one line on it."""
-        about = f"{self.arm_name} {self.deviation} {self.duration:g} s seed {self.seed}"
+        about = f"{Path(self.arm_name).stem} {self.deviation} {self.duration:g} s seed {self.seed}"
         texts = []
         for finding in outcome.findings:
             texts.append(
@@ -507,7 +542,7 @@ def print_share(title: str, numerator: int, denominator: int) -> None:
 
 def main() -> int:
     """Print the table."""
-    parser = arms_parser(__doc__)
+    parser = arms_parser(__doc__, arms=None)
     parser.add_argument(
         "--causes", nargs="+", default=list(GROUPS), choices=[*GROUPS, *CAUSES]
     )
@@ -526,10 +561,12 @@ def main() -> int:
     causes = causes_by_name(options.causes)
     cases = {cause: list(cases_of(cause, options)) for cause in causes}
     every_case = [case for cause in causes for case in cases[cause]]
-    judge_case = partial(
-        Case.run, models=options.models, is_answered=not options.no_answers
-    )
     with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        paths = {
+            name: model_path(name, options.models, folder) for name in options.arms
+        }
+        judge_case = partial(Case.run, paths=paths, is_answered=not options.no_answers)
         apply: Callable[..., Iterator[Outcome]] = map
         if options.jobs > 1:
             apply = stack.enter_context(ProcessPoolExecutor(options.jobs)).map

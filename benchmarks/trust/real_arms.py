@@ -223,16 +223,25 @@ def interval_line(quantity: str, rows: Array) -> str:
 def arms_parser(
     description: str | None,
     default_arms: Iterable[str] = USUAL_ARMS,
-    arms: Iterable[str] = ARMS,
+    arms: Iterable[str] | None = ARMS,
 ) -> argparse.ArgumentParser:
-    """Return a parser with the options of benchmarks that draw arms of public models."""
+    """Return a parser with the options of benchmarks that draw arms of models.
+
+    Args:
+        description: of the benchmark.
+        default_arms: names of models without ``--arms``.
+        arms: names that ``--arms`` takes; None for any.
+    """
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("models", type=Path)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument(
-        "--arms", nargs="+", default=list(default_arms), choices=list(arms)
+        "--arms",
+        nargs="+",
+        default=list(default_arms),
+        choices=None if arms is None else list(arms),
     )
     return parser
 

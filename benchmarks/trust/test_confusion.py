@@ -8,6 +8,7 @@ import pytest
 from benchmarks.trust.confusion import Judge
 from benchmarks.trust.confusion_causes import draw_scene
 from benchmarks.trust.confusion_mistakes import MISTAKES
+from rigs.arms.drawn_models import model_path
 from rigs.arms.wrong_arms import ARMS
 from rigs.files.places import MODELS
 from robot_sysid.parser import load_robot_model
@@ -29,3 +30,11 @@ def test_a_cause_makes_a_log_and_a_model(cause, tmp_path):
     robot = load_robot_model(judge.model)
     assert robot.joint_names == judge.joint_names
     assert len(judge.innocents) in (0, robot.n_joints - 1)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_model_that_is_drawn_is_that_of_an_arm(seed, tmp_path):
+    robot = load_robot_model(model_path(f"drawn-{seed}", MODELS, tmp_path))
+    assert robot.n_joints in (6, 7)
+    assert 3.0 < robot.mass < 60.0
+    assert 0.3 < robot.length < 2.5
