@@ -20,6 +20,8 @@ INERTIAL = "inertia"
 """Name of the column of the links' torque without their weight."""
 WEIGHT = "weight"
 """Name of the column of the links' weight."""
+OTHER_WEIGHT = "weight of other links"
+"""Name of the column of the weight of the model's links but the last."""
 SPRING = ("position",)
 """A spring at a joint."""
 ECCENTRIC_SPRING = ("sine of position", "cosine of position")
@@ -53,8 +55,10 @@ def fault_columns(fitted: Fit) -> list[Term]:
         return moves.columns([robot.n_joints - 1])[:, arm.indices, :4]
 
     def columns(rows: Rows, point: Point) -> Array:
-        """Return the columns (m, J, 25): each fault's own, in the order of the names."""
+        """Return the columns (m, J, 26): each fault's own, in the order of the names."""
         moves = rows.at_rest(robot, point.gravity)
+        others = robot.thetas
+        others[-1] = 0.0
         weight = moves.torque(point.carried_links(rows.is_loaded))[:, arm.indices]
         torque = arm.links_torque(rows, point)
         # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
@@ -67,6 +71,7 @@ def fault_columns(fitted: Fit) -> list[Term]:
             (
                 torque - weight,
                 weight,
+                moves.torque(others)[:, arm.indices],
                 of_last(moves),
                 *np.moveaxis(forces, -1, 0).reshape(len(FORCE), *own.shape),
                 own,
@@ -81,6 +86,7 @@ def fault_columns(fitted: Fit) -> list[Term]:
     names = (
         INERTIAL,
         WEIGHT,
+        OTHER_WEIGHT,
         *LAST_WEIGHT,
         *FORCE,
         *SPRING,

@@ -15,6 +15,7 @@ from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import Correction, Evidence, column_correction
 from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.misfits import (
+    external_findings,
     friction_findings,
     misfit,
     model_findings,
@@ -75,7 +76,12 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
         fitted: the fit of the log, with the columns of ``fault_columns``.
         evidence: what is known beside its rows.
     """
-    found = [*friction_findings(fitted), *time_findings(fitted, evidence)]
+    # What class the torque is of comes first: where it is no torque of this arm, it shows no more.
+    found = [
+        *external_findings(fitted),
+        *friction_findings(fitted),
+        *time_findings(fitted, evidence),
+    ]
     if found:
         return found[:1], fitted
     is_experiment = is_of_single_joints(fitted)

@@ -17,6 +17,7 @@ from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import Evidence
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.findings import findings
+from robot_sysid.diagnosis.misfits import lost_links
 from robot_sysid.diagnosis.refusal import refuse_for
 from robot_sysid.diagnosis.samples import (
     check_recording,
@@ -156,7 +157,8 @@ def judge(
     # What was asked of the log alone is not kept with its answer.
     terms = [term for term in fitted.arm.terms.values() if term.cause]
     answer = answer_of(replace(fitted, arm=fitted.arm.of(terms)))
-    return Judged(tuple(logs), in_order([*found, *wrong]), notes, answer)
+    lost = () if refusals([*found, *wrong]) else lost_links(answer)
+    return Judged(tuple(logs), in_order([*found, *wrong, *lost]), notes, answer)
 
 
 def wide(priors: Priors) -> Priors:

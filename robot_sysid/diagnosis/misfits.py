@@ -15,24 +15,25 @@ from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
 from robot_sysid.diagnosis.faults import TIME, WHOLE_CLOCK, at_inertia
 from robot_sysid.diagnosis.plausibility import (
     SMALLER,
-    dry_friction,
+    friction_share,
     is_plausible,
     is_sibling,
     last_mass,
+    model_misfit,
     model_torque,
     regression,
     typical_ratio,
     typical_torque,
 )
 from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
-from robot_sysid.diagnosis.scores import EXACT
 from robot_sysid.diagnosis.search import Search
+from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.records.fault_names import FaultName
-from robot_sysid.records.levels import UNEXPLAINED
+from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 from robot_sysid.wording import option_name
 
@@ -43,8 +44,16 @@ OTHER_ARM = 0.3
 NO_WEIGHT = 0.1
 """Share of the links' weight below which a torque has none: with less of it, torque is external, or
 less a controller's model."""
+MOST_LINKS = 0.5
+"""Mass of links that have lost most of theirs, as a share of that of all links but the last, from
+which on a result is none."""
 FRICTION_DEVIATIONS = 3.0
 """Standard deviations of chi-square beyond its mean up to which joints have no friction."""
+LEAST_FRICTION = 0.008
+"""Least friction of arms, as a share of their torque: of sensors behind gears, which see bearings
+and cables alone; motors' currents have ten times as much."""
+FRICTION_ERRORS = 5.0
+"""Errors of the friction that it would have to be off from none, if there were the least."""
 
 
 def time_findings(fitted: Fit, evidence: Evidence) -> Iterator[Finding]:
@@ -148,6 +157,27 @@ def missing_torque(fitted: Fit, joint: int) -> str:
     return f"{name} has {', '.join(parts)}"
 
 
+def external_findings(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that the links' weight has gone from the torque, which something explains.
+
+    It is asked before masses may move: links without mass would fit it.
+    """
+    if not fitted.arm.has_gravity or not fitted.arm.others:
+        return
+    shares = shares_of(fitted)
+    if shares.has_no_weight:
+        joint = int(np.argmax(shares.torque * shares.is_weighed))
+        left = percent(abs(float(shares.weight[joint])))
+        yield Finding(
+            Level.REFUSES,
+            FaultName.GRAVITY,
+            f"the torque lacks the weight of the arm's links ({left} of it is left at joint "
+            f"{fitted.arm.joints[joint]}): it is external torque, from which a controller's model "
+            "was taken off, and shows friction and what hangs on the flange alone",
+            MEASURED,
+        )
+
+
 def weight_findings(fitted: Fit) -> Iterator[Finding]:
     """Yield the finding that torques are small, without weight at the joint that carries most."""
     torque, *_ = model_torque(fitted)
@@ -163,20 +193,50 @@ def weight_findings(fitted: Fit) -> Iterator[Finding]:
         )
 
 
-def friction_findings(fitted: Fit) -> Iterator[Finding]:
-    """Yield the finding that the torque was computed from a model: no joint has friction.
+def lost_links(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that the links before the last have lost most of their mass in a result.
 
-    It has to be so well known that friction of a real arm would show.
+    Nothing may write such a model, whatever else is said of its log.
     """
-    torque = typical_torque(fitted)
-    dry, error = dry_friction(fitted)
-    *_, is_loaded = model_torque(fitted)
-    size = float(np.linalg.norm(torque[is_loaded]))
-    known = np.linalg.norm(error[is_loaded]) / max(size, 1e-300)
-    distance = np.sum((dry / np.hypot(error, EXACT * torque)) ** 2)
-    limit = len(dry) + FRICTION_DEVIATIONS * np.sqrt(2.0 * len(dry))
-    # With a larger error, none can be told.
-    if size > 0.0 and known < 2.0 * EXACT and distance < limit:
-        text = "the torque follows rigid-body dynamics and has no friction: it was computed, or "
-        text += "commanded, not measured"
-        yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)
+    arm = fitted.arm
+    masses = {link: arm.model[arm.links[link][0]] for link in arm.others}
+    found = {link: fitted.by_name[arm.links[link][0]] for link in arm.others}
+    lost = [link for link, mass in masses.items() if found[link] < LOST * mass]
+    share = sum(masses[link] for link in lost) / max(sum(masses.values()), 1e-300)
+    if share > MOST_LINKS:
+        link = max(lost, key=lambda each: masses[each])
+        yield Finding(
+            Level.REFUSES,
+            FaultName.GRAVITY,
+            "to fit this log, links would lose most of their mass: "
+            f"{arm.robot.links[link].body_name} would have {max(found[link], 0.0):.3g} kg, and has "
+            f"{masses[link]:.3g} kg in the model: the torque lacks their weight, as external "
+            "torque does",
+            MEASURED,
+        )
+
+
+def friction_findings(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that no joint has friction: the torque was computed or commanded.
+
+    It has to be so well known that the friction of a real arm would show, behind its gears as well.
+    """
+    share, error, distance = friction_share(fitted)
+    is_absent = abs(share) < SURE * error and distance < FRICTION_DEVIATIONS
+    is_known = error < LEAST_FRICTION / FRICTION_ERRORS
+    if not (is_absent and is_known and fitted.unexplained_share < UNEXPLAINED):
+        return
+    most = percent(INTERVAL * error)
+    misfit_of_model = model_misfit(fitted)
+    if misfit_of_model < UNEXPLAINED:
+        text = (
+            f"the torque is that of this model's links, to {percent(misfit_of_model)}, and has no "
+            f"friction (less than {most}): it was computed from the model, not measured"
+        )
+    else:
+        text = (
+            "the torque follows rigid-body dynamics and has no friction (less than "
+            f"{most} of the torque): it was computed, or commanded by a controller whose drives "
+            "add the friction themselves, not measured; an arm without friction looks the same"
+        )
+    yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)

@@ -13,7 +13,7 @@ from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.terms import LINKS
+from robot_sysid.estimate.terms import FURTHER_FRICTION, LINKS
 from robot_sysid.records import Array
 from robot_sysid.records.levels import SURE
 
@@ -42,6 +42,8 @@ another arm: siblings reach 6.1 to 7.7, but one right arm in forty with a link t
 No torque tells these apart, but models of other arms leave more than 1 % of it unexplained."""
 SIBLING_CENTRES = 5.7
 """The same of centres of mass: right arms reach 2.2, another arm 5.8 to 6.5."""
+EXACT = 0.001
+"""Error of filtering in dry friction, as a share of the joint's torque."""
 MOST_AT_ONCE = 1.5
 """Joints that move at an instant, in the mean, below which a log is of single joints."""
 
@@ -99,6 +101,56 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     names = map(COULOMB.key_of, fitted.arm.joints)
     dry, variance = np.transpose([known.get(name, (0.0, np.inf)) for name in names])
     return dry, np.sqrt(np.maximum(variance, 0.0))
+
+
+def friction_share(fitted: Fit) -> tuple[float, float, float]:
+    """Return (share of the torque that is friction, its error, its distance from none).
+
+    The share is how many times the friction is that makes, dry and viscous alike, as much torque as
+    there is at each joint; the distance is that of all joints' friction from none, in standard
+    deviations of chi-square beyond its mean. It is friction without what a fit allows for beside
+    it: that may have any part of it where there is any, but not where there is none.
+    """
+    torque = typical_torque(fitted)
+    terms = [
+        term
+        for term in fitted.equations.terms
+        if term.cause != FURTHER_FRICTION and term.names[0] in fitted.sums.names
+    ]
+    plain = fitted.refit(terms)
+    spans = [
+        span
+        for term, span in plain.equations.spans
+        if term.key in (COULOMB.name, VISCOUS.name)
+    ]
+    if not spans:
+        return 0.0, np.inf, 0.0
+    at = np.concatenate(spans)
+    values, inverse = plain.unbounded_solution
+    squares = plain.sums.squares[:, plain.equations.index[at]]
+    own = np.argmax(squares, axis=0)
+    sizes = np.sqrt(np.max(squares, axis=0) / plain.sums.row_counts[own])
+    usual = torque[own] / np.maximum(sizes, 1e-300)
+    precision = np.linalg.inv(
+        inverse[np.ix_(at, at)] / np.outer(usual, usual) + EXACT**2 * np.eye(len(at))
+    )
+    friction = values[at] / usual
+    variance = 1.0 / float(np.sum(precision))
+    share = variance * float(np.sum(precision @ friction))
+    count = len(at)
+    distance = (friction @ precision @ friction - count) / np.sqrt(2.0 * count)
+    return share, float(np.sqrt(variance)), float(distance)
+
+
+def model_misfit(fitted: Fit) -> float:
+    """Return the share of all torque that the links leave which are as in the model."""
+    sums = fitted.sums
+    links = {name for names in fitted.arm.links.values() for name in names}
+    values = [fitted.arm.model[n] if n in links else 0.0 for n in sums.names]
+    left = sums.squared_residuals(np.array(values))
+    return float(
+        np.sqrt(np.sum(left) / max(float(np.sum(sums.squared_torque)), 1e-300))
+    )
 
 
 def fits(fitted: Fit) -> bool:

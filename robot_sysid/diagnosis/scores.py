@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.diagnosis.faults import Explanation, explanations
+from robot_sysid.diagnosis.plausibility import EXACT
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.rows import Rows, Sums
@@ -60,8 +61,6 @@ NOTED = 0.005
 models leave unexplained."""
 SURELY_CLEAR = 3.0 * CLEAR
 """Gain from which on a fault is noted however small it is [nats]."""
-EXACT = 0.001
-"""Error of filtering in dry friction, as a share of the joint's torque."""
 MOST_WEIGHED = 8
 """Explanations that are weighed in a round: to weigh one takes much longer than to offer it."""
 SLOW_SHARE = 0.5

@@ -254,6 +254,30 @@ class Sums:
             products=tuple(products),
         )
 
+    def mixed(self, names: Sequence[str], mix: Array) -> Sums:
+        """Return the sums of new parameters (r,) alone.
+
+        Args:
+            names: (r,) of them.
+            mix: (J, p, r) their columns in each joint's rows, in terms of the columns that are.
+        """
+        columns = []
+        products = []
+        for at, own, turn in zip(self.columns, self.products, mix):
+            used = np.flatnonzero(np.any(turn[at[:-1]], axis=0))
+            full = np.zeros((len(at), len(used) + 1))
+            full[:-1, :-1] = turn[at[:-1]][:, used]
+            full[-1, -1] = 1.0
+            columns.append(np.append(used, len(names)))
+            products.append(full.T @ own @ full)
+        return replace(
+            self,
+            names=tuple(names),
+            columns=tuple(columns),
+            products=tuple(products),
+            triangles=None,
+        )
+
 
 def block_numbers(
     recordings: Sequence[FilteredRecording], in_blocks: bool = True
