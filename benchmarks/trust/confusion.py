@@ -117,7 +117,7 @@ class Finding:
     about: str
     level: str
     text: str
-    options: tuple[str, ...] = ()
+    options: tuple[tuple[str, ...], ...] = ()
     correction: dict[str, Any] | None = None
 
     @classmethod
@@ -128,7 +128,7 @@ class Finding:
     @classmethod
     def of_entry(cls, entry: dict[str, Any]) -> Finding:
         """Return a finding of an entry of the JSON."""
-        options = tuple(entry.get("options") or ())
+        options = tuple(map(tuple, entry.get("options") or ()))
         correction = entry.get("correction")
         return cls(entry["about"], entry["level"], entry["text"], options, correction)
 
@@ -373,7 +373,12 @@ class Judge:
         for finding in findings:
             if finding.options or finding.correction:
                 logs = [finding.corrected(log) for log in self.scene.logs]
-                yield self.identify(self.write_logs(logs), *finding.options)
+                paths = self.write_logs(logs)
+                ways = finding.options or ((),)
+                answers = [self.identify(paths, *way) for way in ways]
+                # Of several ways the user knows which is right, as it is the log or the model.
+                distances = [abs(answer.mass - answer.true_mass) for answer in answers]
+                yield answers[int(np.argmin(np.nan_to_num(distances, nan=np.inf)))]
         paths = self.write_logs(self.scene.logs)
         doubted = dict.fromkeys(f.about for f in findings if f.level == "doubts")
         if doubted and all(f.level != "refuses" for f in findings):

@@ -24,12 +24,19 @@ from benchmarks.trust.confusion_causes import (
     Scene,
     edit_bodies,
     multiply_body,
+    payload_of,
     torque_of_payload,
     turned_signs,
 )
 from benchmarks.trust.right_logs import one_at_a_time, sampled
 from benchmarks.trust.wrong_logs import carrying_joint
-from rigs.arms.wrong_arms import PRESLIDING, WrongArm, noise_samples
+from rigs.arms.wrong_arms import (
+    PRESLIDING,
+    WrongArm,
+    link_torque,
+    noise_samples,
+    resting_torque,
+)
 from rigs.files.urdf import urdf_of
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
@@ -51,6 +58,8 @@ CENTRE_OFF = np.array([0.04, 0.04, 0.02])
 """Distance of a centre of mass from where the model has it, 6 cm [m]."""
 BIAS = 0.1
 """Torque of an actuator that pushes all the time, of what its joint carries."""
+OBSERVER = 0.05
+"""Time constant of an observer of external torque [s]."""
 WEAK = 1e-3
 """Constant of a motor that brakes next to nothing by its voltage [N m/A, V s/rad]."""
 DENORMAL = 1e-308
@@ -152,6 +161,49 @@ def model_torque_with_coloured_noise(scene: Scene) -> Scene:
 def commanded_torque(scene: Scene) -> Scene:
     """Return a log of commanded torques of a drive that adds the friction's itself."""
     return with_coloured_noise(scene, scene.rigid, 0.02)
+
+
+def external_of_load(scene: Scene) -> Scene:
+    """Return such a log without friction, of which the controller has a model, too."""
+    loaded = external_with_payload(scene)
+    return with_coloured_noise(loaded, loaded.rigid, 0.01)
+
+
+def external_low_passed(scene: Scene) -> Scene:
+    """Return a log of external torque behind a low-pass of 0.05 s, as an observer's."""
+    loaded = external_with_payload(scene)
+    step = float(scene.log.time[1] - scene.log.time[0])
+    weights = np.exp(-np.arange(0.0, 0.5, step) / OBSERVER)
+    count = len(scene.log)
+    tau = [
+        np.convolve(column, weights / np.sum(weights))[:count]
+        for column in loaded.log.tau.T
+    ]
+    return with_torques(loaded, np.stack(tau, axis=1))
+
+
+def compensated(share: float, is_of_model: bool, scene: Scene) -> Scene:
+    """Return a log without a share of the torque of the weight, the arm's or the model's."""
+    weight = scene.still
+    if is_of_model:
+        weight = resting_torque(scene.robot, scene.motion.q, scene.robot.thetas)
+    return scene.with_more_torque(-share * weight)
+
+
+def computed_of_another_load(scene: Scene) -> Scene:
+    """Return a log of the torques that a model takes which has a payload more than the arm."""
+    thetas = scene.robot.thetas
+    thetas[-1] += payload_of(scene)
+    torque = link_torque(scene.robot, scene.motion, thetas)
+    return with_coloured_noise(scene, torque, 0.004)
+
+
+def with_friction_times(factor: float, scene: Scene) -> Scene:
+    """Return a log with friction times a factor: commanded by a model of it, or less such a model.
+
+    The links' torque is all there, so that it is a right log of the last link.
+    """
+    return scene.with_more_torque((factor - 1.0) * scene.friction)
 
 
 def light_sign(scene: Scene) -> Scene:
@@ -481,6 +533,22 @@ TORQUE_MISTAKES = {
     "denormal_joint": Cause(denormal_joint, (("zero torque",),), NO_TORQUE),
 }
 """Mistakes in the torque."""
+TORQUE_CLASSES = {
+    "all_times_1_25": Cause(partial(all_times, 1.25), (SCALE,)),
+    "all_times_2": Cause(partial(all_times, 2.0), (SCALE,)),
+    "all_times_0_5": Cause(partial(all_times, 0.5), (SCALE,)),
+    "external_of_load": Cause(external_of_load, (("gravity",),)),
+    "external_low_passed": Cause(external_low_passed, (("gravity",),)),
+    "compensated_by_model": Cause(partial(compensated, 1.0, True), (("gravity",),)),
+    # As for a balancer, weight that is missing looks like a time that is too long.
+    "half_compensated": Cause(
+        partial(compensated, 0.5, False), (("gravity", "clock"),)
+    ),
+    "computed_of_another_load": Cause(computed_of_another_load, (("computed",),)),
+    "commanded_with_friction": Cause(partial(with_friction_times, 0.8), ()),
+    "friction_taken_off": Cause(partial(with_friction_times, 0.3), ()),
+}
+"""Torques that are not measured in newton metres at the joints, and two that are as good."""
 POSITION_MISTAKES = {
     "zero_3_degrees": joint_cause(partial(zero_off, 3.0), "zero"),
     "zero_10_degrees": joint_cause(partial(zero_off, 10.0), "zero"),
@@ -538,6 +606,7 @@ if hasattr(mujoco.MjsJoint, "springyield"):  # Since MuJoCo 4.
     RIGHT_LOGS["yielding_springs"] = Cause(yielding_springs, ())
 MISTAKES: dict[str, Cause] = {
     **TORQUE_MISTAKES,
+    **TORQUE_CLASSES,
     **POSITION_MISTAKES,
     **TIME_MISTAKES,
     **MODEL_MISTAKES,

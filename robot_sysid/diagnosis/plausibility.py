@@ -6,6 +6,8 @@ Throughout, J is the number of joints with equations.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,9 @@ that makes less shows mostly noise."""
 LEAST_LOADED = 0.1
 """Torque by the model's links, as a share of that of the most loaded joint, above which a joint is
 loaded: below it friction is as large as what the links make."""
+LEAST_WEIGHED = 0.25
+"""Torque by the links' weight, as a share of that of the joint that carries most, above which it
+says how much weight there is: a wrist's is the last link's, and what hangs on it."""
 MOST_OF_ARM = 0.6
 """Largest mass of a last link with all on it, as a share of the arm's without it."""
 MOST_TOOL = 0.3
@@ -54,6 +59,31 @@ def typical_torque(fitted: Fit) -> Array:
     return np.maximum(torque, LEAST_TYPICAL * np.max(torque))
 
 
+def weighing(fitted: Fit, values: Sequence[float] | Array) -> Array:
+    """Return values (p + 1,) of what weighs: masses and first moments; all others are zero.
+
+    Without gravity, inertias weigh as well.
+    """
+    count = 4 if fitted.arm.has_gravity else 10
+    kept = {name for names in fitted.arm.links.values() for name in names[:count]}
+    own = [v if n in kept else 0.0 for n, v in zip(fitted.sums.names, values)]
+    return np.array([*own, 0.0])
+
+
+def weight_ratios(fitted: Fit) -> Array:
+    """Return how many times the model's the torque (W,) is that links make, as they were found.
+
+    Of joints that weight loads: the last link, whatever hangs on it, makes a part of each.
+    """
+    sums = fitted.sums
+    torque, _, is_loaded = model_torque(fitted)
+    found = weighing(fitted, fitted.equations.full(fitted.free))
+    squares = np.maximum(sums.squares_of(found, sums.totals), 1e-24)
+    largest = np.max(torque[is_loaded], initial=0.0)
+    is_weighed = is_loaded & (torque > LEAST_WEIGHED * largest)
+    return np.asarray((np.sqrt(squares / sums.row_counts) / torque)[is_weighed])
+
+
 def model_torque(fitted: Fit) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return (root mean square torque (J,) of the model [N m], share (J,), loaded (J,)).
 
@@ -65,10 +95,7 @@ def model_torque(fitted: Fit) -> tuple[Array, Array, NDArray[np.bool_]]:
     """
     arm = fitted.arm
     sums = fitted.sums
-    count = 4 if arm.has_gravity else 10
-    compared = {name for names in arm.links.values() for name in names[:count]}
-    values = [arm.model[name] if name in compared else 0.0 for name in sums.names]
-    model = np.array([*values, 0.0])
+    model = weighing(fitted, [arm.model.get(name, 0.0) for name in sums.names])
     squares = np.maximum(sums.squares_of(model, sums.totals), 1e-24)
     pairs = zip(sums.columns, sums.totals)
     products = np.array([model[at] @ total[:, -1] for at, total in pairs])

@@ -35,6 +35,7 @@ from robot_sysid.diagnosis.plausibility import (
     dry_friction,
     is_foreign,
     model_torque,
+    weight_ratios,
 )
 from robot_sysid.diagnosis.scores import with_effects
 from robot_sysid.estimate.fit import Fit, LeftOut, Problem
@@ -49,8 +50,14 @@ from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, torque_unit, with_error
 from robot_sysid.wording import option_name, with_option_names
 
-ODD = 1.3
-"""Factor on all masses, or its inverse, above which it is refused."""
+ODD = 1.4
+"""Factor on all masses, or its inverse, from which on it is refused."""
+NOTED = 1.22
+"""Factor, or its inverse, from which on it is named. Common scales of right logs reach it, of arms
+whose links are 10 to 20 % off, one of them 40 %: two of 48, at none of which weights agree."""
+AGREEING = 0.1
+"""Logarithm of a factor by which a joint's weight may say less than the common scale does: links
+that are off change each joint's by as much."""
 UNITS = {
     1e3: "mN·m",
     100.0: "N·cm",
@@ -86,8 +93,8 @@ SURE_SCALE = 0.4
 """Relative error of a joint's scale above which it is not identified, unless it is ``SURE`` errors
 from one: elbow and forearm of a TIAGo, whose torques have no unit, have 0.1 +- 0.06."""
 VAGUE = 0.35
-"""Relative error of the common scale from which on it has to be sure by ``SURE`` errors, not by
-``INTERVAL``: a sound iiwa14 that moved for some seconds had 11 +- 12."""
+"""Relative error of the common scale from which on it has to be sure by ``SURE`` errors: a sound
+iiwa14 that moved for some seconds had 11 +- 12."""
 SPREAD = 0.4
 """Standard deviation of the logarithm of a joint's scale over the common one: gains of motor
 currents of one arm differ by a factor of two."""
@@ -122,6 +129,7 @@ class TorqueScales:
         is_loaded: (J,) which joints links load.
         is_settled: (J,) which scales did not change any more.
         coarse: by which positions that are coarse or seldom make all columns wrong, as a share.
+        weights: (W,) how many times the model's weight the links have at joints that carry most.
     """
 
     values: Array
@@ -129,6 +137,7 @@ class TorqueScales:
     is_loaded: NDArray[np.bool_]
     is_settled: NDArray[np.bool_]
     coarse: float
+    weights: Array
 
     @property
     def errors(self) -> Array:
@@ -185,11 +194,25 @@ class TorqueScales:
         return float(np.exp(mean)), float(np.hypot(np.sqrt(variance), self.coarse))
 
     @property
+    def agreed(self) -> float:
+        """The least factor in whose direction and size all agree, as a positive logarithm.
+
+        It is that of the common scale, whatever the last link takes up, or of the joint whose own
+        weight says least, whichever is less. Neither will do alone: a tool that the model lacks
+        multiplies weights and not the scale, a link that is off scales and not all weights.
+        """
+        if not len(self.weights):
+            return 0.0
+        common = float(np.log(self.common[0]))
+        least = float(np.min(np.sign(common) * np.log(self.weights)))
+        return max(0.0, min(abs(common), least + AGREEING))
+
+    @property
     def is_odd(self) -> bool:
-        """Whether the common scale is clearly ``ODD``."""
+        """Whether the common scale is clearly none that masses make which are usually off."""
         factor, error = self.common
-        level = INTERVAL if error < VAGUE else SURE
-        return bool(abs(np.log(factor)) >= max(np.log(ODD), level * error))
+        is_vague = error >= VAGUE and abs(np.log(factor)) < SURE * error
+        return self.agreed >= np.log(NOTED) and not is_vague
 
     @property
     def known_values(self) -> Array:
@@ -264,7 +287,8 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     coarse = max(each.acceleration_error for each in fitted.recordings)
     relative = covariance / np.outer(change, change)
     is_settled = np.abs(np.log(change)) < UNSETTLED
-    return TorqueScales(scale, relative, is_loaded, is_settled, coarse)
+    weights = weight_ratios(fitted)
+    return TorqueScales(scale, relative, is_loaded, is_settled, coarse, weights)
 
 
 class ScaleCorrections:
@@ -292,6 +316,9 @@ class ScaleCorrections:
         factors = np.full(len(self.scales.values), 1.0 / factor)
         after = refit(fitted, torque_reading(fitted.arm, factors))
         finding = common_finding(fitted.arm.robot, factor, error, self.evidence)
+        is_small = finding.is_common_factor and self.scales.agreed < np.log(ODD)
+        if is_small:
+            finding = replace(finding, level=Level.SAYS)
         return Correction((finding,), gain_between(fitted, after, factors), after)
 
     @cached_property
@@ -350,12 +377,16 @@ def common_finding(
         command = "payload"
     else:
         name = FaultName.TORQUE_SCALE
+        options = (("--mass-scale", f"{factor * robot.mass_scale:.4g}"), *options)
+        masses, torques = (
+            option_name(name, way[1])
+            for name, way in zip(("mass_scale", "torque_scale"), options)
+        )
         remedy = (
             "torques cannot tell what is wrong by that much, the masses or the torques: if the "
-            f"torques are N·m, multiply the masses; if the model is right{unit_text}, divide the "
-            "torques"
+            f"torques are N·m, multiply the masses ({masses}); if the model is right{unit_text}, "
+            f"divide the torques ({torques})"
         )
-        options = (("--mass-scale", f"{factor * robot.mass_scale:.4g}"), *options)
     # Where the user has to choose between masses and torques, two logs of one arm share it.
     is_common = name is FaultName.TORQUE_SCALE
     return Finding(

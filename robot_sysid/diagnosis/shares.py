@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis.fault_columns import OTHER_WEIGHT
+from robot_sysid.diagnosis.plausibility import LEAST_WEIGHED
 from robot_sysid.diagnosis.scores import in_sums_alone
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.fit import Fit, Problem
@@ -24,9 +25,6 @@ from robot_sysid.records import Array
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.parameters import Parameter
 
-LEAST_WEIGHED = 0.25
-"""Torque by the links' weight, as a share of that of the joint that carries most, above which it
-says how much weight there is: a wrist's is the last link's, and what hangs on it."""
 LOST = 1.0 / 3.0
 """Share of the links' weight below which a joint has lost it. Arms whose links are off by 20 %, one
 of them by 40 %, have 0.53 at least."""

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.arms.wrong_arms import ARMS, truth_of
+from rigs.arms.wrong_arms import ARMS, link_torque, truth_of
 from rigs.files.places import MODELS
+from robot_sysid.diagnosis.misfits import lost_links
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Level
-from tests.diagnosis.conftest import findings_of, found_in
+from tests.diagnosis.conftest import findings_of, found_in, judged
 from tests.diagnosis.test_gate import swings
 
 pytestmark = [
@@ -69,6 +70,17 @@ def test_a_mistake_of_many_joints_has_one_name(truth, fault):
     named = {finding.about for finding in found if finding.level is not Level.SAYS}
     assert named and named <= names, found
     assert "time =" not in "".join(finding.sentence for finding in found)
+
+
+def test_a_result_in_which_links_lose_their_mass_is_none(truth):
+    """Such as of external torque, from which a controller's model was taken off."""
+    thetas = np.zeros_like(truth.arm.thetas)
+    thetas[-1] = truth.theta
+    carried = link_torque(truth.robot, truth.motion, thetas)
+    external = replace(truth.log, tau=truth.log.tau - truth.rigid + carried)
+    (finding,) = lost_links(judged(truth.robot, external).fit)
+    assert finding.level is Level.REFUSES and "lose most of their mass" in finding.text
+    assert not [*lost_links(judged(truth.robot, truth.log).fit)]
 
 
 def test_right_logs_are_accused_of_nothing(truth):

@@ -1,0 +1,58 @@
+"""A factor on all torques: named where weights agree with it, and refused where it is large."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.diagnosis.scales import TorqueScales
+from robot_sysid.records.messages import Level
+from tests.diagnosis.conftest import found_in
+
+
+def scales_of(factor, weights):
+    """Return scales of four joints that are all a factor to 15 %, and what weights say."""
+    every = np.ones(4, dtype=bool)
+    covariance = 0.15**2 * np.ones((4, 4))
+    values = np.full(4, factor)
+    return TorqueScales(values, covariance, every, every, 0.0, np.array(weights))
+
+
+@pytest.mark.parametrize("factor", [1.3, 1.5, 100.0])
+def test_a_factor_and_its_inverse_are_named_alike(factor):
+    up = scales_of(factor, [factor, 1.05 * factor])
+    down = scales_of(1.0 / factor, [1.0 / factor, 1.0 / (1.05 * factor)])
+    assert up.agreed == pytest.approx(np.log(factor))
+    assert down.agreed == pytest.approx(up.agreed)
+    assert up.is_odd and down.is_odd
+
+
+@pytest.mark.parametrize(
+    ("factor", "weights"),
+    [(1.0, [1.6, 1.5]), (1.6, [1.6, 1.0]), (1.6, [0.7, 0.8]), (1.2, [1.4]), (1.6, [])],
+    ids=["tool", "one link", "opposite", "usual links", "no weight"],
+)
+def test_a_factor_is_none_where_not_all_agree(factor, weights):
+    assert not scales_of(factor, weights).is_odd
+
+
+@pytest.mark.parametrize(
+    ("factor", "level"), [(1.0, None), (1.5, Level.SAYS), (2.0, Level.REFUSES)]
+)
+def test_a_factor_is_noted_with_both_ways_and_refused_from_a_larger_one_on(
+    four_joints, factor, level
+):
+    """Weights of this arm, which are 5 and 23 % off, say less than the factor."""
+    found = found_in(four_joints, tau=factor * four_joints.log.tau)
+    named = [each for each in found if each.is_common_factor]
+    assert [each.level for each in named] == [level] * (level is not None)
+    for each in named:
+        assert [way[0] for way in each.options] == ["--mass-scale", "--torque-scale"]
+        assert all(" ".join(way) in each.remedy for way in each.options)
+        right = replace(
+            four_joints.log,
+            tau=factor * four_joints.log.tau / float(each.options[1][1]),
+        )
+        assert found_in(four_joints, tau=right.tau) == ()

@@ -1,0 +1,102 @@
+"""What class a torque is of: measured in any unit, external, computed or commanded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rigs.arms.synthetic_data import autocorrelated
+from rigs.arms.wrong_arms import MEMORY, link_torque
+from robot_sysid.diagnosis.fault_columns import fault_columns
+from robot_sysid.diagnosis.gate import judge
+from robot_sysid.diagnosis.shares import shares_of
+from robot_sysid.estimate.choose import solve_question
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.messages import Level, Progress
+from robot_sysid.signals.process import low_pass_recordings
+from tests.diagnosis.conftest import found_in, read_log
+
+QUESTION = Question(EstimationOptions())
+
+
+def shares(truth, tau):
+    """Return the shares of torques (N, 4) in the motion of a truth."""
+    recordings, _ = low_pass_recordings(
+        truth.robot, [replace(truth.log, tau=tau)], None
+    )
+    fitted = solve_question(truth.robot, recordings, QUESTION, beside=fault_columns)
+    return shares_of(fitted)
+
+
+def external(truth, times):
+    """Return torque (N, 4) without that of links, but for so many times the last link's."""
+    thetas = np.zeros((4, 10))
+    thetas[-1] = times * truth.theta
+    return truth.log.tau - truth.rigid + link_torque(truth.robot, truth.motion, thetas)
+
+
+def coloured(truth, tau, share):
+    """Return torques (N, 4) with noise of a memory, a share of each joint's."""
+    drawn = np.random.default_rng(3).standard_normal(tau.shape)
+    size = share * np.sqrt(np.mean(tau**2, axis=0))
+    return {"tau": tau + size * autocorrelated(drawn, MEMORY)}
+
+
+def test_shares_are_in_proportion_to_the_torque(four_joints):
+    """So that a measured torque in another unit is told from one without the links' weight."""
+    right = shares(four_joints, four_joints.log.tau)
+    own = right.is_weighed
+    assert own[[1, 2]].all() and not own[[0, 3]].any()
+    assert right.weight[own] == pytest.approx(1.0, abs=0.2)
+    small = shares(four_joints, 0.01 * four_joints.log.tau)
+    assert small.weight[own] == pytest.approx(0.01 * right.weight[own], rel=0.01)
+    assert not right.has_no_weight and not small.has_no_weight
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_external_torque_has_no_weight_whatever_hangs_on_the_flange(four_joints, times):
+    tau = external(four_joints, times)
+    assert shares(four_joints, tau).has_no_weight
+    robot = four_joints.robot
+    logs = [
+        read_log(robot, replace(four_joints.log, tau=external(four_joints, k)), f"{k}")
+        for k in (times, times + 1.0)
+    ]
+    asked = (
+        (QUESTION, logs[:1], ()),
+        (replace(QUESTION, loaded=True), logs, (False, True)),
+    )
+    for question, read, sides in asked:
+        found = judge(robot, read, question, Progress(), sides).findings
+        assert [f.about for f in found if f.level is Level.REFUSES] == ["gravity"]
+        assert "external torque" in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("torque", "text"),
+    [
+        (lambda truth: truth.rigid, "it was computed, or commanded"),
+        (
+            lambda truth: link_torque(truth.robot, truth.motion, truth.robot.thetas),
+            "it was computed from the model",
+        ),
+    ],
+    ids=["commanded", "computed"],
+)
+def test_noise_with_a_memory_does_not_hide_that_there_is_no_friction(
+    four_joints, torque, text
+):
+    found = found_in(four_joints, **coloured(four_joints, torque(four_joints), 0.01))
+    assert [each.about for each in found] == [FaultName.COMPUTED]
+    assert found[0].level is Level.DOUBTS and text in found[0].text
+
+
+def test_as_much_noise_makes_no_measured_torque_a_computed_one(four_joints):
+    """A tenth of the usual friction is what sensors behind gears see."""
+    little = 0.1 * four_joints.friction + four_joints.rigid
+    found = found_in(four_joints, **coloured(four_joints, little, 0.01))
+    assert FaultName.COMPUTED not in [each.about for each in found]
