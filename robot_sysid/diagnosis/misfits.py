@@ -49,6 +49,9 @@ MOST_LINKS = 0.5
 which on a result is none."""
 FRICTION_DEVIATIONS = 3.0
 """Standard deviations of chi-square beyond its mean up to which joints have no friction."""
+OWN_MODEL = 0.02
+"""Share of all torque that may be left where the torque is the model's own but for the last link:
+as much as noise. Most arms whose links are as wrong as usual leave 5 %."""
 LEAST_FRICTION = 0.008
 """Least friction of arms, as a share of their torque: of sensors behind gears, which see bearings
 and cables alone; motors' currents have ten times as much."""
@@ -165,17 +168,24 @@ def external_findings(fitted: Fit) -> Iterator[Finding]:
     if not fitted.arm.has_gravity or not fitted.arm.others:
         return
     shares = shares_of(fitted)
-    if shares.has_no_weight:
-        joint = int(np.argmax(shares.torque * shares.is_weighed))
-        left = percent(abs(float(shares.weight[joint])))
-        yield Finding(
-            Level.REFUSES,
-            FaultName.GRAVITY,
-            f"the torque lacks the weight of the arm's links ({left} of it is left at joint "
-            f"{fitted.arm.joints[joint]}): it is external torque, from which a controller's model "
-            "was taken off, and shows friction and what hangs on the flange alone",
-            MEASURED,
+    if not shares.has_no_weight:
+        return
+    joint = int(np.argmax(shares.torque * shares.is_weighed))
+    text = (
+        "the torque lacks the weight of the arm's links "
+        f"({percent(abs(float(shares.weight[joint])))} of it is left at "
+        f"{fitted.arm.joints[joint]}): "
+    )
+    if shares.has_inertia:
+        text += (
+            "it has their inertia, so that gravity was taken off, as a controller does"
         )
+    else:
+        text += (
+            "it is external torque, from which a controller's model was taken off, and shows "
+            "friction and what hangs on the flange alone"
+        )
+    yield Finding(Level.REFUSES, FaultName.GRAVITY, text, MEASURED)
 
 
 def weight_findings(fitted: Fit) -> Iterator[Finding]:
@@ -226,17 +236,13 @@ def friction_findings(fitted: Fit) -> Iterator[Finding]:
     is_known = error < LEAST_FRICTION / FRICTION_ERRORS
     if not (is_absent and is_known and fitted.unexplained_share < UNEXPLAINED):
         return
-    most = percent(INTERVAL * error)
-    misfit_of_model = model_misfit(fitted)
-    if misfit_of_model < UNEXPLAINED:
-        text = (
-            f"the torque is that of this model's links, to {percent(misfit_of_model)}, and has no "
-            f"friction (less than {most}): it was computed from the model, not measured"
-        )
-    else:
-        text = (
-            "the torque follows rigid-body dynamics and has no friction (less than "
-            f"{most} of the torque): it was computed, or commanded by a controller whose drives "
-            "add the friction themselves, not measured; an arm without friction looks the same"
-        )
+    text = (
+        "the torque follows rigid-body dynamics and has no friction (less than "
+        f"{percent(INTERVAL * error)} of the torque): it was computed, or commanded by a "
+        "controller whose drives add the friction themselves, not measured; an arm without "
+        "friction looks the same"
+    )
+    left = model_misfit(fitted)
+    if left < OWN_MODEL:
+        text += f"; this model's links but the last, as they are, leave {percent(left)} of it"
     yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)

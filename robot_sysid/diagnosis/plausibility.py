@@ -15,7 +15,7 @@ from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.terms import FURTHER_FRICTION, LINKS
+from robot_sysid.estimate.terms import FURTHER_FRICTION, LAST_LINK, LINKS, PAYLOAD
 from robot_sysid.records import Array
 from robot_sysid.records.levels import SURE
 
@@ -170,14 +170,16 @@ def friction_share(fitted: Fit) -> tuple[float, float, float]:
 
 
 def model_misfit(fitted: Fit) -> float:
-    """Return the share of all torque that the links leave which are as in the model."""
-    sums = fitted.sums
-    links = {name for names in fitted.arm.links.values() for name in names}
-    values = [fitted.arm.model[n] if n in links else 0.0 for n in sums.names]
-    left = sums.squared_residuals(np.array(values))
-    return float(
-        np.sqrt(np.sum(left) / max(float(np.sum(sums.squared_torque)), 1e-300))
-    )
+    """Return the share of all torque that is left where all links but the last are the model's.
+
+    The last one, and each joint's friction, are free.
+    """
+    keys = (LAST_LINK, PAYLOAD, COULOMB.name, VISCOUS.name, OFFSET.name)
+    terms = [fitted.arm.terms[key] for key in keys if key in fitted.arm.terms]
+    after = fitted.fit(terms, None, fitted.noise, fitted.correlation, possible=False)
+    squares = after.equations.squared_residuals(after.free)
+    total = float(np.sum(fitted.sums.squared_torque))
+    return float(np.sqrt(np.sum(squares) / max(total, 1e-300)))
 
 
 def fits(fitted: Fit) -> bool:

@@ -53,8 +53,8 @@ from robot_sysid.wording import option_name, with_option_names
 ODD = 1.4
 """Factor on all masses, or its inverse, from which on it is refused."""
 NOTED = 1.22
-"""Factor, or its inverse, from which on it is named. Common scales of right logs reach it, of arms
-whose links are 10 to 20 % off, one of them 40 %: two of 48, at none of which weights agree."""
+"""Factor, or its inverse, from which on it is named: of 108 right logs of arms whose links are 10
+to 20 % off, one of them 40 %, none has it, with a tool that the model lacks 3 of 66."""
 AGREEING = 0.1
 """Logarithm of a factor by which a joint's weight may say less than the common scale does: links
 that are off change each joint's by as much."""
@@ -195,24 +195,28 @@ class TorqueScales:
 
     @property
     def agreed(self) -> float:
-        """The least factor in whose direction and size all agree, as a positive logarithm.
+        """The size of the factor in which scale and weights agree, a logarithm; zero for none.
 
-        It is that of the common scale, whatever the last link takes up, or of the joint whose own
-        weight says least, whichever is less. Neither will do alone: a tool that the model lacks
-        multiplies weights and not the scale, a link that is off scales and not all weights.
+        A tool that the model lacks multiplies weights and not the scale, a link that is off scales
+        and not all weights: each joint's has to say as much, or the factor is no larger than that.
+        Tools add weight: of a factor below one they may hide it, where the scale alone is clear.
         """
+        factor, error = self.common
         if not len(self.weights):
             return 0.0
-        common = float(np.log(self.common[0]))
-        least = float(np.min(np.sign(common) * np.log(self.weights)))
-        return max(0.0, min(abs(common), least + AGREEING))
+        common = float(np.log(factor))
+        least = float(np.min(np.sign(common) * np.log(self.weights))) + AGREEING
+        is_vague = error >= VAGUE
+        is_clear = abs(common) >= (SURE if is_vague else INTERVAL) * error
+        if is_clear and common < 0.0 <= least:
+            return -common
+        is_shown = is_clear or (common < 0.0 and not is_vague)
+        return max(0.0, min(abs(common), least)) * is_shown
 
     @property
     def is_odd(self) -> bool:
-        """Whether the common scale is clearly none that masses make which are usually off."""
-        factor, error = self.common
-        is_vague = error >= VAGUE and abs(np.log(factor)) < SURE * error
-        return self.agreed >= np.log(NOTED) and not is_vague
+        """Whether there is a factor that masses which are usually off do not make."""
+        return self.agreed >= np.log(NOTED)
 
     @property
     def known_values(self) -> Array:

@@ -44,7 +44,7 @@ class Shares:
     Attributes:
         weight: (J,) share of the model's weight torque.
         inertia: (J,) share of the torque of its inertia.
-        errors: (2 J,) their standard errors, those of weight first.
+        weight_errors, inertia_errors: (J,) their standard errors.
         torque: (J,) root mean square torque of the model's weight [N m].
         measured: (J,) that of the log [N m].
         is_weighed: (J,) at which joints the weight says something.
@@ -53,7 +53,8 @@ class Shares:
 
     weight: Array
     inertia: Array
-    errors: Array
+    weight_errors: Array
+    inertia_errors: Array
     torque: Array
     measured: Array
     is_weighed: NDArray[np.bool_]
@@ -63,11 +64,16 @@ class Shares:
     def has_no_weight(self) -> bool:
         """Whether the links' weight has gone from all joints that it says something of."""
         own = self.is_weighed
-        count = len(self.weight)
-        most = np.abs(self.weight) + INTERVAL * self.errors[:count]
+        most = np.abs(self.weight) + INTERVAL * self.weight_errors
         is_small = np.abs(self.weight) * self.torque < OTHERWISE * self.measured
         is_lost = (most < LOST) & is_small
         return bool(np.any(own) and np.all(is_lost[own]) and self.left < MOST_LEFT)
+
+    @property
+    def has_inertia(self) -> bool:
+        """Whether the torque of the links' inertia is rather there than not."""
+        weights = self.inertia_errors**-2.0
+        return bool(np.sum(weights * self.inertia) > 0.5 * np.sum(weights))
 
 
 def shares_of(fitted: Fit) -> Shares:
@@ -113,7 +119,8 @@ def shares_of(fitted: Fit) -> Shares:
     return Shares(
         found[:count, 0],
         found[count:, 0],
-        found[:, 1],
+        found[:count, 1],
+        found[count:, 1],
         torque,
         sums.rms_torque,
         is_compared & (torque > LEAST_WEIGHED * np.max(torque[is_compared])),

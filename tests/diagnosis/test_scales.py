@@ -20,7 +20,7 @@ def scales_of(factor, weights):
     return TorqueScales(values, covariance, every, every, 0.0, np.array(weights))
 
 
-@pytest.mark.parametrize("factor", [1.3, 1.5, 100.0])
+@pytest.mark.parametrize("factor", [1.4, 1.5, 100.0])
 def test_a_factor_and_its_inverse_are_named_alike(factor):
     up = scales_of(factor, [factor, 1.05 * factor])
     down = scales_of(1.0 / factor, [1.0 / factor, 1.0 / (1.05 * factor)])
@@ -31,20 +31,31 @@ def test_a_factor_and_its_inverse_are_named_alike(factor):
 
 @pytest.mark.parametrize(
     ("factor", "weights"),
-    [(1.0, [1.6, 1.5]), (1.6, [1.6, 1.0]), (1.6, [0.7, 0.8]), (1.2, [1.4]), (1.6, [])],
-    ids=["tool", "one link", "opposite", "usual links", "no weight"],
+    [
+        (1.0, [1.6, 1.5]),
+        (1.6, [1.6, 1.0]),
+        (1.6, [0.7, 0.8]),
+        (0.6, [1.2, 1.3]),
+        (1.2, [1.4]),
+        (1.6, []),
+    ],
+    ids=["tool", "one link", "opposite", "other way", "usual links", "no weight"],
 )
 def test_a_factor_is_none_where_not_all_agree(factor, weights):
     assert not scales_of(factor, weights).is_odd
 
 
+def test_a_tool_hides_a_factor_below_one_from_weights_alone():
+    assert scales_of(0.65, [1.0, 0.95]).is_odd
+    assert not scales_of(1.0 / 0.65, [1.0, 1.0 / 0.95]).is_odd
+
+
 @pytest.mark.parametrize(
-    ("factor", "level"), [(1.0, None), (1.5, Level.SAYS), (2.0, Level.REFUSES)]
+    ("factor", "level"), [(1.0, None), (0.78, Level.SAYS), (0.6, Level.REFUSES)]
 )
 def test_a_factor_is_noted_with_both_ways_and_refused_from_a_larger_one_on(
     four_joints, factor, level
 ):
-    """Weights of this arm, which are 5 and 23 % off, say less than the factor."""
     found = found_in(four_joints, tau=factor * four_joints.log.tau)
     named = [each for each in found if each.is_common_factor]
     assert [each.level for each in named] == [level] * (level is not None)

@@ -79,10 +79,10 @@ def test_external_torque_has_no_weight_whatever_hangs_on_the_flange(four_joints,
 @pytest.mark.parametrize(
     ("torque", "text"),
     [
-        (lambda truth: truth.rigid, "it was computed, or commanded"),
+        (lambda truth: truth.rigid, "an arm without friction looks the same"),
         (
             lambda truth: link_torque(truth.robot, truth.motion, truth.robot.thetas),
-            "it was computed from the model",
+            "this model's links but the last, as they are, leave",
         ),
     ],
     ids=["commanded", "computed"],
