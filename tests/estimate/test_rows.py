@@ -158,3 +158,20 @@ def test_rows_that_are_cut_out_do_not_count_and_those_of_others_stay():
     assert np.all(sums.rms_torque < 1e9)
     with pytest.raises(InputError, match="velocity deadband for long enough"):
         ARM.sums([recording.only(time < 0.0)], POINT)
+
+
+@settings(max_examples=2)
+@given(SEEDS)
+def test_sums_of_mixed_columns_are_those_of_their_mixture(seed):
+    """Each joint may have a mixture of its own, such as a share of all links' torque."""
+    sums = ARM.sums(logs_of(seed), POINT)
+    rng = np.random.default_rng(seed)
+    mix = rng.normal(size=(len(JOINTS), len(sums.names), 3))
+    mix *= rng.random(mix.shape) < 0.5
+    mixed = sums.mixed(("a", "b", "c"), mix)
+    values = rng.normal(size=3)
+    apart = [sums.squared_residuals(mix[j] @ values)[j] for j in JOINTS]
+    assert_allclose(mixed.squared_residuals(values), apart, rtol=1e-9)
+    assert_allclose(mixed.rms_torque, sums.rms_torque)
+    apart = [sums.successive(mix[j] @ values)[j] for j in JOINTS]
+    assert_allclose(mixed.successive(values), apart, rtol=1e-9, atol=1e-9)
