@@ -168,7 +168,8 @@ def external_findings(fitted: Fit) -> Iterator[Finding]:
     if not fitted.arm.has_gravity or not fitted.arm.others:
         return
     shares = shares_of(fitted)
-    if not shares.has_no_weight:
+    # Torque that has inertia may be right: in a short motion a last link can stand for all weight.
+    if not shares.has_no_weight or shares.has_inertia:
         return
     joint = int(np.argmax(shares.torque * shares.is_weighed))
     text = (
@@ -176,15 +177,10 @@ def external_findings(fitted: Fit) -> Iterator[Finding]:
         f"({percent(abs(float(shares.weight[joint])))} of it is left at "
         f"{fitted.arm.joints[joint]}): "
     )
-    if shares.has_inertia:
-        text += (
-            "it has their inertia, so that gravity was taken off, as a controller does"
-        )
-    else:
-        text += (
-            "it is external torque, from which a controller's model was taken off, and shows "
-            "friction and what hangs on the flange alone"
-        )
+    text += (
+        "it is external torque, from which a controller's model was taken off, and shows friction "
+        "and what hangs on the flange alone"
+    )
     yield Finding(Level.REFUSES, FaultName.GRAVITY, text, MEASURED)
 
 

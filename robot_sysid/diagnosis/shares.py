@@ -102,7 +102,7 @@ def shares_of(fitted: Fit) -> Shares:
         mix[joint, sums.at([OTHER_WEIGHT]), weight + count] = -1.0
     mixed = sums.mixed((*kept, *names), mix)
     shares = Term(
-        "", tuple(map(Parameter, names)), in_sums_alone, reference=np.zeros(len(names))
+        "", tuple(map(Parameter, names)), in_sums_alone, reference=np.ones(len(names))
     )
     problem = Problem(arm, (), fitted.point, mixed, fitted.question)
     view = problem.fit(
