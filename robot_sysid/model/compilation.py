@@ -32,6 +32,7 @@ from robot_sysid.mjcf.urdf import (
 )
 from robot_sysid.model.actuators import with_actuators_in_joints
 from robot_sysid.model.bodies import inertia_about_com
+from robot_sysid.model.dry_friction import with_dry_friction_in_joints
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 from robot_sysid.wording import option_name
@@ -67,7 +68,7 @@ class CompiledModel:
     """A compiled model.
 
     Attributes:
-        mj_model: MuJoCo's ``MjModel``, see ``with_actuators_in_joints``.
+        mj_model: MuJoCo's ``MjModel``, see ``in_joints``.
         notes: sentences for the user on what was assumed or warned of.
         sha256: hash of all bytes of its files, includes too; "" without files.
         kind: language of the file, "mjcf" or "urdf".
@@ -118,7 +119,7 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
     """
     if is_in_memory(model):
         mj_model = _compile_spec(model) if _is_spec(model) else model
-        return CompiledModel(with_actuators_in_joints(mj_model))
+        return CompiledModel(in_joints(mj_model))
     document = read_document(Path(model), mesh_dir)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
         raise ModelError(
@@ -136,12 +137,19 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
         mj_model, notes = _compile(document)
     _check_values(mj_model, document)
     return CompiledModel(
-        with_actuators_in_joints(mj_model),
+        in_joints(mj_model),
         (*notes, *dict.fromkeys(warnings)),
         document.sha256,
         "urdf" if document.is_urdf else "mjcf",
         velocity_limits(document),
     )
+
+
+def in_joints(mj_model: Any) -> Any:
+    """Return a model whose joints and tendons have the rotors, damping and dry friction that its
+    file states elsewhere; it takes the same torques while joints slide.
+    """
+    return with_dry_friction_in_joints(with_actuators_in_joints(mj_model))
 
 
 def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
