@@ -42,6 +42,7 @@ from robot_sysid.model.dry_friction import (
     refuse_late_yield,
 )
 from robot_sysid.model.stated import placeholder_notes, with_references
+from robot_sysid.model.ties import refuse_tied_joints
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
@@ -84,6 +85,7 @@ def load_robot_model(
     )
     carriers = chain_to(mj_model, terminal)
     chain = arm_without_base(mj_model, carriers)
+    refuse_tied_joints(mj_model, chain, compiled.mimics)
     keyframe_id = rest_keyframe(mj_model, keyframe)
     qpos = mj_model.qpos0.copy()
     if keyframe_id is not None:
@@ -241,12 +243,15 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
     """Yield sentences on parts of the model that the analysis leaves out."""
     mj_model = robot.mj_model
     is_joint_equality = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    is_joint_equality &= mj_model.eq_active0.astype(bool)
     partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, is_joint_equality]
     joints = mj_model.dof_jntid[robot.dof_index].tolist()
     coupled = [joint_label(mj_model, joint) for joint in joints if joint in partners]
     if coupled:
-        ignored = f"equality constraints on {', '.join(coupled)} are ignored"
-        yield f"{ignored}: every chain joint is taken to be driven by itself"
+        yield (
+            f"equality constraints on {', '.join(coupled)} are ignored: what they tie to the arm "
+            "is taken to stand still beside it"
+        )
     yield from friction_notes(mj_model, joints, robot.joint_names)
     yield from _notes_on_passive_actuators(robot)
     types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))

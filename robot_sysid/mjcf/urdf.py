@@ -250,6 +250,20 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
     return limits
 
 
+def mimics(document: ModelDocument) -> dict[str, str]:
+    """Return joint name to that of the joint which it follows; older MuJoCos drop these.
+
+    A multiplier of zero ties it to nothing.
+    """
+    followed = {}
+    for joint in document.root.findall("joint"):
+        mimic = joint.find("mimic")
+        with contextlib.suppress(ValueError):
+            if mimic is not None and float(mimic.get("multiplier") or 1.0) != 0.0:
+                followed[str(joint.get("name"))] = str(mimic.get("joint"))
+    return followed
+
+
 def _origin(link: Node, name: str) -> Array:
     """Return the "xyz" or "rpy" of a link's inertial, three numbers in a valid file; else zeros."""
     text = get(link.find("inertial/origin"), name)

@@ -28,6 +28,7 @@ from robot_sysid.mjcf.urdf import (
     LARGEST,
     link_inertias,
     make_compilable,
+    mimics,
     velocity_limits,
 )
 from robot_sysid.model.actuators import with_actuators_in_joints
@@ -73,6 +74,7 @@ class CompiledModel:
         sha256: hash of all bytes of its files, includes too; "" without files.
         kind: language of the file, "mjcf" or "urdf".
         velocity_limits: joint name to the speed limit that a URDF states [rad/s or m/s].
+        mimics: joint name to that of the joint which a URDF says it follows.
     """
 
     mj_model: Any
@@ -80,6 +82,7 @@ class CompiledModel:
     sha256: str = ""
     kind: str = "mjcf"
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
+    mimics: Mapping[str, str] = field(default_factory=dict)
 
 
 @contextmanager
@@ -142,6 +145,7 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
         document.sha256,
         "urdf" if document.is_urdf else "mjcf",
         velocity_limits(document),
+        mimics(document),
     )
 
 
