@@ -35,7 +35,7 @@ from robot_sysid.mjcf.inertial import (
     mjcf_inertial,
     urdf_inertial_about_com,
 )
-from robot_sysid.mjcf.urdf import give_minimum, raise_inertias
+from robot_sysid.mjcf.urdf import give_minimum, mend_inertias, raise_inertias
 from robot_sysid.records import Array, Flange
 
 
@@ -141,6 +141,7 @@ def changed_model_text(
     if document.is_urdf:
         # MuJoCo has to load the text by itself, so links get what compilation gave them.
         give_minimum(document, excluded=written)
+        mend_inertias(document, excluded=written)
         raise_inertias(document, excluded=written)
     else:
         # "true" overrides every <inertial>.

@@ -31,6 +31,7 @@ from robot_sysid.mjcf.urdf import (
     mimics,
     velocity_limits,
 )
+from robot_sysid.mjcf.wrong_digits import wrong_numbers_of
 from robot_sysid.model.actuators import with_actuators_in_joints
 from robot_sysid.model.bodies import inertia_about_com
 from robot_sysid.model.dry_friction import with_dry_friction_in_joints
@@ -190,6 +191,7 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
         if is_changed:
             # The lines of the text are not those of the file.
             message = message.partition(", line")[0]
+        message = "; ".join([message, *_wrong_inertias(document)])
         meshes = [asset.path for asset in find_assets(document) if asset.path]
         names = [name for mesh in meshes for name in (mesh.name, f"'{mesh.stem}'")]
         if document.is_urdf and any(name in message for name in names):
@@ -200,6 +202,12 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
         raise ModelError(f"MuJoCo cannot compile {document.path}: {message}") from None
     restore_exact_inertias(mj_model, inertias)
     return mj_model, notes
+
+
+def _wrong_inertias(document: ModelDocument) -> Iterator[str]:
+    """Yield what is wrong with inertias of an MJCF that MuJoCo refuses."""
+    if not document.is_urdf:
+        yield from wrong_numbers_of(document)
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:
