@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from rigs.arms.small_arms import compile_xml, robot_of
@@ -46,6 +46,8 @@ def arm(folder, placeholders=()):
     )
 )
 def test_what_is_not_stated_is_found_by_kind_and_named_once(tmp_path_factory, drawn):
+    # Where half of the links have such inertias, units are blamed.
+    assume(sum(kind == INERTIA for _, kind in drawn) < 2)
     robot = arm(tmp_path_factory.mktemp("arm"), drawn)
     is_wrong = [("inertia", number) for number, kind in drawn if kind == INERTIA]
     masses = {number for number, kind in drawn if kind == MASS}
