@@ -17,6 +17,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     with_gravity,
 )
+from robot_sysid.dynamics.passive import acts_by_itself
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links
 from robot_sysid.model.chain import (
@@ -35,7 +36,13 @@ from robot_sysid.model.compilation import (
     compile_model,
     is_in_memory,
 )
+from robot_sysid.model.dry_friction import (
+    actuator_label,
+    friction_notes,
+    refuse_late_yield,
+)
 from robot_sysid.model.stated import placeholder_notes, with_references
+from robot_sysid.model.ties import refuse_tied_joints
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
@@ -78,6 +85,7 @@ def load_robot_model(
     )
     carriers = chain_to(mj_model, terminal)
     chain = arm_without_base(mj_model, carriers)
+    refuse_tied_joints(mj_model, chain, compiled.mimics)
     keyframe_id = rest_keyframe(mj_model, keyframe)
     qpos = mj_model.qpos0.copy()
     if keyframe_id is not None:
@@ -121,6 +129,7 @@ def _arm_of(
     joints = list(chain)
     dofs = mj_model.jnt_dofadr[joints].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
+    refuse_late_yield(mj_model, joints, names)
     links = with_references(mj_model, qpos, arm_links(mj_model, qpos, chain))
     if links[-1].theta[0] <= 0.0:
         raise ModelError(
@@ -234,12 +243,17 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
     """Yield sentences on parts of the model that the analysis leaves out."""
     mj_model = robot.mj_model
     is_joint_equality = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    is_joint_equality &= mj_model.eq_active0.astype(bool)
     partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, is_joint_equality]
     joints = mj_model.dof_jntid[robot.dof_index].tolist()
     coupled = [joint_label(mj_model, joint) for joint in joints if joint in partners]
     if coupled:
-        ignored = f"equality constraints on {', '.join(coupled)} are ignored"
-        yield f"{ignored}: every chain joint is taken to be driven by itself"
+        yield (
+            f"equality constraints on {', '.join(coupled)} are ignored: what they tie to the arm "
+            "is taken to stand still beside it"
+        )
+    yield from friction_notes(mj_model, joints, robot.joint_names)
+    yield from _notes_on_passive_actuators(robot)
     types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     if np.any(np.isin(mj_model.eq_type, types)):
         yield "the model's connect and weld constraints are ignored"
@@ -256,4 +270,16 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
         yield (
             f"nonlinear damping of {names} is taken to be as the model states it; what is "
             "identified of its friction stands beside it"
+        )
+
+
+def _notes_on_passive_actuators(robot: RobotModel) -> Iterator[str]:
+    """Yield a sentence on actuators that act whatever their control is."""
+    mj_model = robot.mj_model
+    passive = np.flatnonzero(acts_by_itself(mj_model)).tolist()
+    if passive:
+        names = ", ".join(actuator_label(mj_model, actuator) for actuator in passive)
+        yield (
+            f"actuators {names} act whatever their control is: their torque counts as the arm's, "
+            "like a spring's, and stays in a written model, beside what is identified of friction"
         )

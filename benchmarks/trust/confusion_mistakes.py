@@ -62,6 +62,14 @@ OBSERVER = 0.05
 """Time constant of an observer of external torque [s]."""
 WEAK = 1e-3
 """Constant of a motor that brakes next to nothing by its voltage [N m/A, V s/rad]."""
+SMALL_BALL: dict[str, Any] = {
+    "type": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "size": [0.01, 0.0, 0.0],
+    "mass": 1e-3,
+    "contype": 0,
+    "conaffinity": 0,
+}
+"""A body that hardly weighs anything."""
 DENORMAL = 1e-308
 """Factor that makes next to nothing of a torque."""
 
@@ -404,10 +412,13 @@ def small_inertias(scene: Scene) -> Scene:
     return replace(scene, edit=edit, culprit=names[0])
 
 
-def biased_actuator(scene: Scene) -> Scene:
-    """Return a log of an arm, and its model, with an actuator that pushes all the time."""
-    joint = loaded_joint(scene)
-    bias = BIAS * float(scene.usual_torque[joint])
+def with_passive_actuator(
+    scene: Scene, joint: int, numbers: tuple[float, float, float]
+) -> Scene:
+    """Return a log of an arm, and its model, with an actuator that acts by itself at a joint.
+
+    ``numbers``: its force, and that per position and speed.
+    """
 
     def edit(spec: Any) -> None:
         actuator = spec.add_actuator(name="pusher")
@@ -415,10 +426,42 @@ def biased_actuator(scene: Scene) -> Scene:
         actuator.target = scene.robot.joint_names[joint]
         actuator.gainprm[0] = 0.0
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.biasprm[0] = bias
+        actuator.biasprm[:3] = numbers
 
-    pushed = scene.with_joint_torque(joint, np.full(len(scene.log), -bias))
-    return edit_model(pushed, edit)
+    motion = scene.motion
+    states = np.stack(
+        (np.ones(len(scene.log)), motion.q[:, joint], motion.qd[:, joint]), axis=1
+    )
+    return edit_model(scene.with_joint_torque(joint, -states @ numbers), edit)
+
+
+def biased_actuator(scene: Scene) -> Scene:
+    """Return a log of an arm, and its model, with an actuator that pushes all the time."""
+    joint = loaded_joint(scene)
+    bias = BIAS * float(scene.usual_torque[joint])
+    return with_passive_actuator(scene, joint, (bias, 0.0, 0.0))
+
+
+def bias_at_light_joint(scene: Scene) -> Scene:
+    """Return a log of an arm, and its model, with one at a joint that carries little."""
+    joint = light_joint(scene)
+    bias = float(scene.usual_torque[joint])
+    return with_passive_actuator(scene, joint, (bias, 0.0, 0.0))
+
+
+def gas_spring(scene: Scene) -> Scene:
+    """Return a log of an arm, and its model, with a spring that was written as an actuator."""
+    joint = loaded_joint(scene)
+    stiffness = 0.3 * float(scene.usual_torque[joint])
+    return with_passive_actuator(scene, joint, (stiffness, -stiffness, 0.0))
+
+
+def damper(scene: Scene) -> Scene:
+    """Return a log of an arm, and its model, with a damper that was written as an actuator."""
+    joint = loaded_joint(scene)
+    fastest = float(np.max(np.abs(scene.motion.qd[:, joint])))
+    size = BIAS * float(scene.usual_torque[joint])
+    return with_passive_actuator(scene, joint, (0.0, 0.0, -size / fastest))
 
 
 def friction_of_motors(scene: Scene) -> Scene:
@@ -482,18 +525,134 @@ def tied_joints(scene: Scene) -> Scene:
     return edit_model(with_torques(tied, tau), edit)
 
 
-def impossible_inertia(scene: Scene) -> Scene:
-    """Return the scene with a URDF in which a point is missing in a moment of inertia."""
+def edit_inertia(scene: Scene, edit: Callable[[Array], None]) -> Scene:
+    """Return the scene with a URDF in which the inertia (3, 3) of the forearm is changed."""
     mj_model = mujoco.MjModel.from_xml_string(bare_model_text(scene.path))
     name = scene.robot.links[forearm_of(scene)].body_name
 
     def change(body_name: str, inertia: Array) -> Array:
         if body_name == name:
-            least = int(np.argmin(np.diag(inertia)))
-            inertia[least, least] *= 1e3
+            edit(inertia)
         return inertia
 
     return replace(scene, urdf=urdf_of(mj_model, change), culprit=name)
+
+
+def impossible_inertia(scene: Scene) -> Scene:
+    """Return the scene with a URDF in which a point is missing in a moment of inertia."""
+
+    def edit(inertia: Array) -> None:
+        least = int(np.argmin(np.diag(inertia)))
+        inertia[least, least] *= 1e3
+
+    return edit_inertia(scene, edit)
+
+
+def negative_moment(scene: Scene) -> Scene:
+    """Return the scene with a URDF in which a moment of inertia has the wrong sign."""
+
+    def edit(inertia: Array) -> None:
+        inertia[1, 1] *= -1.0
+
+    return edit_inertia(scene, edit)
+
+
+def large_product(scene: Scene) -> Scene:
+    """Return the scene with a URDF in which a product of inertia is as large as a mass."""
+
+    def edit(inertia: Array) -> None:
+        inertia[0, 2] = inertia[2, 0] = 0.7
+
+    return edit_inertia(scene, edit)
+
+
+def mimic_joint(scene: Scene) -> Scene:
+    """Return the log of an arm with rods whose model is a URDF that says so."""
+    mj_model = mujoco.MjModel.from_xml_string(bare_model_text(scene.path))
+    elbow, shoulder = (
+        scene.robot.joint_names[joint] for joint in (forearm_of(scene), 1)
+    )
+    head, name, tail = urdf_of(mj_model).partition(f'<joint name="{elbow}"')
+    tie = f'<mimic joint="{shoulder}" multiplier="-1"/></joint>'
+    text = head + name + tail.replace("</joint>", tie, 1)
+    return replace(tied_joints(scene), edit=None, urdf=text)
+
+
+def rods(scene: Scene) -> Scene:
+    """Return the log of an arm with rods whose model has one, from the base to the forearm."""
+
+    def edit(spec: Any) -> None:
+        base = spec.body(scene.robot.links[0].body_name)
+        rod = base.add_body(name="rod")
+        rod.add_joint(name="rod_joint", axis=[0.0, 1.0, 0.0])
+        rod.add_geom(**SMALL_BALL)
+        equality = spec.add_equality(name="end_of_rod")
+        equality.type = mujoco.mjtEq.mjEQ_CONNECT
+        equality.objtype = mujoco.mjtObj.mjOBJ_BODY
+        equality.name1 = "rod"
+        equality.name2 = scene.robot.links[forearm_of(scene)].body_name
+
+    return edit_model(tied_joints(scene), edit)
+
+
+def tied_fingers(scene: Scene) -> Scene:
+    """Return the scene with a model that has two fingers, which are tied to each other."""
+
+    def edit(spec: Any) -> None:
+        hand = spec.body(scene.robot.body_name)
+        for side in ("left", "right"):
+            finger = hand.add_body(name=f"{side}_finger")
+            finger.add_joint(name=f"{side}_finger_joint", axis=[1.0, 0.0, 0.0])
+            finger.add_geom(**SMALL_BALL)
+        equality = spec.add_equality(name="fingers")
+        equality.type = mujoco.mjtEq.mjEQ_JOINT
+        equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        equality.name1, equality.name2 = "left_finger_joint", "right_finger_joint"
+        equality.data[:2] = 0.0, 1.0
+
+    return edit_model(scene, edit)
+
+
+def large_rotors(scene: Scene) -> Scene:
+    """Return the scene with a model whose rotors have a hundred times the usual inertia."""
+    usual = 0.02 * float(np.max(scene.usual_torque))
+
+    def edit(spec: Any) -> None:
+        for name in scene.robot.joint_names:
+            spec.joint(name).armature = usual
+
+    return edit_model(scene, edit)
+
+
+def forearm_in(mass: float, inertia: float, scene: Scene) -> Scene:
+    """Return the scene with a model in which mass and inertia of the forearm have factors."""
+    name = scene.robot.links[forearm_of(scene)].body_name
+    return edit_bodies(scene, partial(multiply_body, mass, inertia), name)
+
+
+def centre_in_mm(scene: Scene) -> Scene:
+    """Return the scene with a model whose forearm has its centre of mass in millimetres."""
+
+    def change(body: Any) -> None:
+        body.ipos = 1e3 * body.ipos
+
+    name = scene.robot.links[forearm_of(scene)].body_name
+    return edit_bodies(scene, change, name)
+
+
+def cogging_motor(scene: Scene) -> Scene:
+    """Return a log of an arm, and its model, with a motor whose magnets pull at its joint."""
+    joint = loaded_joint(scene)
+    size = BIAS * float(scene.usual_torque[joint])
+    pulled = size * np.sin(4.0 * scene.motion.q[:, joint])
+
+    def edit(spec: Any) -> None:
+        actuator = spec.add_actuator(name="motor")
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        actuator.target = scene.robot.joint_names[joint]
+        actuator.set_to_dcmotor([WEAK, WEAK], 1.0, cogging=[size, 4.0, 0.0])
+
+    return edit_model(scene.with_joint_torque(joint, -pulled), edit)
 
 
 def joint_cause(spoil: Callable[[Scene], Scene], *names: str) -> Cause:
@@ -503,6 +662,14 @@ def joint_cause(spoil: Callable[[Scene], Scene], *names: str) -> Cause:
 
 CONTRADICTED = "probably wrong|contradict"
 """Words for a number of the model that the log contradicts."""
+PASSIVE = "actuator.*(bias|passive|force|torque)"
+"""Words for an actuator that acts by itself."""
+TIED = r"\btied\b|one coordinate|loop of bodies"
+"""Words for joints that are none by themselves."""
+ONE_NUMBER = r"(i[xyz]{2}|inertia).*(times too (large|small)|point is missing|wrong (digit|sign))"
+"""Words for one number that makes an inertia impossible."""
+ODD_INERTIA = f"inertia.*({CONTRADICTED})|({CONTRADICTED}).*inertia"
+"""Words for an inertia that is no link's."""
 NO_TORQUE = (
     "without torque|no torque|(are|is) ((all|but|nearly|next|to) )*zero|zero throughout"
 )
@@ -572,20 +739,26 @@ MODEL_MISTAKES = {
     "loaded_forearm": Cause(loaded_forearm, (("link",),), CONTRADICTED),
     "light_forearm": Cause(light_forearm, (("model", "link"),), CONTRADICTED),
     "centre_off": Cause(centre_off, (("link",),), CONTRADICTED),
-    "small_inertias": Cause(
-        small_inertias,
-        (("link",),),
-        f"inertia.*({CONTRADICTED})|({CONTRADICTED}).*inertia",
-    ),
-    "biased_actuator": Cause(
-        biased_actuator, (("actuator",),), "actuator.*(bias|passive|force|torque)"
-    ),
+    "small_inertias": Cause(small_inertias, (("link",),), ODD_INERTIA),
+    "biased_actuator": Cause(biased_actuator, (("actuator",),), PASSIVE),
     # That an equality is ignored is no answer to it.
     "tied_joints": Cause(tied_joints, (("tied",),), r"\btied\b|one coordinate"),
-    "impossible_inertia": Cause(
-        impossible_inertia,
-        (("inertia",),),
-        r"(i[xyz]{2}|inertia).*(times too (large|small)|point is missing|wrong digit)",
+    "impossible_inertia": Cause(impossible_inertia, (("inertia",),), ONE_NUMBER),
+    "bias_at_light_joint": Cause(bias_at_light_joint, (("actuator",),), PASSIVE),
+    "gas_spring": Cause(gas_spring, (("actuator",),), PASSIVE),
+    "damper": Cause(damper, (("actuator",),), PASSIVE),
+    "negative_moment": Cause(negative_moment, (("inertia",),), ONE_NUMBER),
+    "large_product": Cause(large_product, (("inertia",),), ONE_NUMBER),
+    "mimic_joint": Cause(mimic_joint, (("tied",),), TIED),
+    "rods": Cause(rods, (("tied",),), TIED),
+    "forearm_ten_times": Cause(
+        partial(forearm_in, 10.0, 10.0), (("model", "link"),), CONTRADICTED
+    ),
+    "forearm_in_g_mm2": Cause(
+        partial(forearm_in, 1.0, 1e9), (("inertia",),), ODD_INERTIA
+    ),
+    "centre_in_mm": Cause(
+        centre_in_mm, (("link",),), f"centre of mass.*({CONTRADICTED})"
     ),
 }
 """Mistakes of models, and what models say that has to be counted."""
@@ -593,6 +766,7 @@ if hasattr(mujoco.MjsActuator, "set_to_dcmotor"):  # Since MuJoCo 4.
     MODEL_MISTAKES["friction_of_motors"] = Cause(
         friction_of_motors, (("actuator",),), "actuator.*(friction|LuGre|passive)"
     )
+    MODEL_MISTAKES["cogging_motor"] = Cause(cogging_motor, (("actuator",),), PASSIVE)
 RIGHT_LOGS = {
     "late_stamps": Cause(late_stamps, ()),
     "noisy": Cause(noisy, ()),
@@ -600,6 +774,8 @@ RIGHT_LOGS = {
     "gap": Cause(gap, ()),
     "joint_after_joint": Cause(joint_after_joint, (), duration=30.0),
     "stiction": Cause(stiction, ()),
+    "tied_fingers": Cause(tied_fingers, ()),
+    "large_rotors": Cause(large_rotors, ()),
 }
 """Right logs under odd conditions."""
 if hasattr(mujoco.MjsJoint, "springyield"):  # Since MuJoCo 4.

@@ -167,7 +167,7 @@ SHARED_MOTOR = serial_arm(
     'coef="1"/><joint joint="joint2" coef="-2"/></fixed></tendon>'
 )
 EQUALITY_ON_CHAIN = serial_arm(
-    extra='<equality><joint joint1="joint1" joint2="joint2"/></equality>'
+    extra='<equality><joint joint1="joint1" polycoef=".3 0 0 0 0"/></equality>'
 )
 HOME_KEYFRAME = serial_arm(
     (Z, Y, X, Z),

@@ -29,10 +29,12 @@ from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
+from robot_sysid.estimate.choose import answer_of, odd_link
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.levels import INTERVAL, UNEXPLAINED
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 from robot_sysid.wording import option_name
@@ -41,6 +43,9 @@ RIGHT_MODEL = "check that the model is of this arm, with all that is fixed to it
 MEASURED = "record the measured joint torque"
 OTHER_ARM = 0.3
 """Share of all torque that is unexplained from which on it is another arm's."""
+FAR_OFF = 0.4
+"""Share by which a mass is off the model's for sure, to be named for a log: one link of a right arm
+is off by as much."""
 NO_WEIGHT = 0.1
 """Share of the links' weight below which a torque has none: with less of it, torque is external, or
 less a controller's model."""
@@ -93,6 +98,10 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
     fitted = scales.fitted
     robot = fitted.arm.robot
     current = search.current
+    wrong = [*wrong_mass(current)]
+    if wrong:
+        yield from wrong
+        return
     # A fault that was found may explain them.
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
     if is_odd and scales.common.fit.unexplained_share < UNEXPLAINED:
@@ -118,6 +127,34 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
             "mass: it may be the model of a sibling of this arm; the standard errors of links "
             "before the last may be too small",
             RIGHT_MODEL,
+        )
+
+
+def wrong_mass(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that the log contradicts the mass of one link of the model by far.
+
+    It has to be farther off than a link of a right model may be.
+    """
+    if odd_link(fitted) is None:
+        return
+    answer = answer_of(fitted)
+    number = answer.question.odd_link
+    if number is None:
+        return
+    robot = answer.arm.robot
+    link = robot.links[number]
+    name = answer.arm.links[number][0]
+    mass = answer.by_name[name]
+    error = answer.error_of(name)
+    expected = float(link.theta[0])
+    if abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
+        yield Finding(
+            Level.SAYS,
+            FaultName.MODEL,
+            f"the log contradicts the model's mass of {link.body_name}, {expected:.3g} kg: it is "
+            f"{with_error(mass, error, 'kg')}, and counts as not known",
+            "look whether the number is right, and whether something is fixed to the link that the "
+            "model lacks",
         )
 
 

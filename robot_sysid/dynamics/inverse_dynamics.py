@@ -37,6 +37,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robot_sysid.dynamics.passive import acts_by_itself, leave_passive_actuators
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.parameters import TILTS, keys_of, of_body
@@ -59,7 +60,8 @@ _UNIT_WRENCHES = wrench_regressor(np.zeros((6, 6)), np.eye(6))
 def analysis_copy(
     mj_model: Any, disabled: Sequence[str] = ("CONSTRAINT", "CONTACT", "SENSOR")
 ) -> Any:
-    """Return a copy of a compiled model reduced to rigid-body dynamics, armature and springs.
+    """Return a copy of a compiled model reduced to rigid-body dynamics, armature, springs and
+    actuators that act whatever their control is.
 
     Switched off: constraints (contacts, limits, equalities, and MuJoCo's own frictionloss, which is
     a ramp in acceleration and velocity and not Coulomb's law), gravity compensation (a real joint
@@ -69,6 +71,7 @@ def analysis_copy(
     disables; of constraints and actuators this alone decides.
     """
     model = copy.copy(mj_model)
+    leave_passive_actuators(model)
     options = model.opt
     bits = mujoco.mjtDisableBit
     for flag in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_ACTUATION):
@@ -103,15 +106,17 @@ def subtree(mj_model: Any, body_id: int) -> list[int]:
 def has_only_armature(mj_model: Any) -> bool:
     """Return whether joint armature is the only torque beside rigid-body dynamics.
 
-    Springs, nonlinear damping and tendons need MuJoCo's full inverse dynamics; without them a
-    cheaper formula gives the same torque. Rotors and damping of actuators are in the joints.
+    Springs, nonlinear damping, tendons and passive actuators need MuJoCo's full inverse dynamics;
+    without them a cheaper formula gives the same torque. Rotors and damping of actuators are in the
+    joints.
     """
     fields = (
         "jnt_stiffness jnt_stiffnesspoly dof_dampingpoly tendon_stiffness "
         "tendon_stiffnesspoly tendon_damping tendon_dampingpoly tendon_armature"
     )
     # Older releases of MuJoCo lack some of these fields.
-    return not any(np.any(getattr(mj_model, name, 0.0)) for name in fields.split())
+    has_more = any(np.any(getattr(mj_model, name, 0.0)) for name in fields.split())
+    return not has_more and not np.any(acts_by_itself(mj_model))
 
 
 class ArmDynamics:
@@ -133,6 +138,7 @@ class ArmDynamics:
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
         self._arguments = robot, mj_model
         self.model = analysis_copy(mj_model or robot.mj_model)
+        self._has_passive_actuators = bool(np.any(self.model.actuator_gear))
         self.data = data_at_pose(self.model, robot.reference_qpos)
         self.chain = robot.qpos_index, robot.dof_index
 
@@ -164,6 +170,9 @@ class ArmDynamics:
             qacc[dof_index] = qdd[k]
             mujoco.mj_inverse(self.model, data)
             tau[k] = data.qfrc_inverse[dof_index]
+            if self._has_passive_actuators:
+                mujoco.mj_fwdActuation(self.model, data)
+                tau[k] -= data.qfrc_actuator[dof_index]
         return tau
 
     def weight_and_inertia(self, motion: Motion) -> tuple[Array, Array]:

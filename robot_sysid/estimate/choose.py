@@ -25,6 +25,7 @@ from robot_sysid.estimate.links import (
     LinkEvidence,
     average_scales,
     link_directions,
+    odd_number,
     reference_links,
     stated_kinds,
 )
@@ -187,23 +188,37 @@ def answer_of(fitted: Fit) -> Fit:
     """Return the fit of a question from that by which its logs were judged.
 
     Offsets of torque sensors are then as small as they usually are, and what the data decides of
-    the links follows from that.
+    the links follows from that; one of them may be far more off than the others. (A log is judged
+    without that: a link that is far off would take up what is wrong with a joint's torque.)
     """
     question = replace(fitted.question, usual_offsets=True, link_scales=AS_STATED)
     torque = fitted.sums.rms_torque
     terms = arm_question(fitted.arm, question, torque)
-    return with_links_of(replace(fitted, question=question).refit(terms), torque)
+    answer = replace(fitted, question=question).refit(terms)
+    return with_links_of(answer, torque, odd_link(answer))
 
 
-def with_links_of(fitted: Fit, torque: Array) -> Fit:
+def odd_link(fitted: Fit) -> int | None:
+    """Return the number in the arm of the link whose mass is far more off than others'; or None."""
+    evidence = link_evidence(fitted)
+    number = None if evidence is None else odd_number(evidence)
+    return None if number is None else fitted.arm.others[number]
+
+
+def with_links_of(fitted: Fit, torque: Array, odd: int | None = None) -> Fit:
     """Return the fit with the priors of links that the data asks for, and with possible bodies.
 
-    ``torque`` (J,) is the root mean square of each joint's torque that sizes the priors [N m].
+    Args:
+        fitted: the fit.
+        torque: (J,) root mean square of each joint's torque that sizes the priors [N m].
+        odd: number of the link whose mass is far more off than others'; None for none.
     """
-    question = fitted.question
+    question = replace(fitted.question, odd_link=odd)
     evidence = link_evidence(fitted)
     if evidence is not None:
-        question = replace(question, link_scales=average_scales(evidence))
+        stated = stated_kinds(fitted.arm.robot, fitted.arm.others, odd)
+        scales = average_scales(replace(evidence, stated=stated))
+        question = replace(question, link_scales=scales)
     terms = arm_question(fitted.arm, question, torque)
     return replace(fitted, question=question).refit(terms, possible=True)
 

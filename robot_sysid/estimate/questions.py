@@ -70,6 +70,8 @@ class Question:
             differ from it by more than usual; None where no model is compared.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
+        odd_link: number in the arm of the link whose mass is far more off than the others', and has
+            an error as large as itself; None for none.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None for the
             model's.
         is_first: whether it comes before any fit, which tells dry friction that fades with speed
@@ -85,6 +87,7 @@ class Question:
     differing: tuple[str, ...] | None = None
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
+    odd_link: int | None = None
     dry: tuple[float, ...] | None = None
     is_first: bool = False
     usual_offsets: bool = False
@@ -245,7 +248,9 @@ def links_term(arm: ArmTerms, question: Question) -> Term:
     """Return the term of all links but the last, with the model's bodies as prior."""
     term = arm.terms[LINKS]
     share = PER_CENT * question.options.priors.link
-    factor = link_factor(arm.robot, arm.others, share, question.link_scales)
+    factor = link_factor(
+        arm.robot, arm.others, share, question.link_scales, question.odd_link
+    )
     return replace(term, prior=Prior(term.reference, factor))
 
 

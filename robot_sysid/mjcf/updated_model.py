@@ -35,7 +35,7 @@ from robot_sysid.mjcf.inertial import (
     mjcf_inertial,
     urdf_inertial_about_com,
 )
-from robot_sysid.mjcf.urdf import give_minimum, raise_inertias
+from robot_sysid.mjcf.urdf import give_minimum, mend_inertias, raise_inertias
 from robot_sysid.records import Array, Flange
 
 
@@ -69,8 +69,10 @@ class ElementChange:
         owner: name of the joint; MuJoCo's id of an actuator or tendon, None for a tendon that the
             file does not have yet.
         numbers: new values by their name in MJCF: "armature" (rotor inertia at the joint, of a URDF
-            that of its "rotor"), "damping" and "frictionloss" (viscous and Coulomb friction); of a
-            position actuator, before its gear, "kp" and "kv", with which it makes
+            that of its "rotor"), "damping" and "frictionloss" (viscous and Coulomb friction), and
+            "stiffness" and "springyield" of a spring that is dry friction; "frictionloss" of an
+            actuator is that of a DC motor, and 0; of a position actuator, before its gear, "kp"
+            and "kv", with which it makes
             kp (ctrl - q) - kv qd. A <position> has no kv before MuJoCo 3.1.
         coefficients: joint name to speed of the tendon per speed of that joint.
         further: new damping per speed squared and cubed; None leaves the file's.
@@ -139,6 +141,7 @@ def changed_model_text(
     if document.is_urdf:
         # MuJoCo has to load the text by itself, so links get what compilation gave them.
         give_minimum(document, excluded=written)
+        mend_inertias(document, excluded=written)
         raise_inertias(document, excluded=written)
     else:
         # "true" overrides every <inertial>.
@@ -266,6 +269,9 @@ def write_element(document: ModelDocument, change: ElementChange, rmse: float) -
         if node is None:
             node = E.dynamics()
             append(joint, node)
+    if change.kind == "actuator" and "frictionloss" in numbers:
+        del numbers["frictionloss"]
+        _take_bristles(document, node, change.owner)
     if node.tag == "general" and "kp" in numbers:
         kp = format_number(numbers.pop("kp"))
         kv = format_number(numbers.pop("kv", 0.0))
@@ -280,6 +286,33 @@ def write_element(document: ModelDocument, change: ElementChange, rmse: float) -
             text = " ".join([text, *nonlinear])
         is_renamed = node.tag == "dynamics" and name == "frictionloss"
         node.set("friction" if is_renamed else name, text)
+
+
+# Attribute of a <general> that is a DC motor to the places of its dry friction in it.
+_BRISTLES = {"dynprm": slice(5, 7), "biasprm": slice(3, 6)}
+
+
+def _take_bristles(document: ModelDocument, node: Node, actuator: int) -> None:
+    """Take the dry friction from a DC motor (id), in place, with the state of its bristles.
+
+    ExportError where it is stated for a class of actuators.
+    """
+    if node.tag == "dcmotor":
+        node.set("lugre", "0 0 0 0 0")
+        return
+    for name, places in _BRISTLES.items():
+        numbers = (node.get(name) or "").split()
+        if len(numbers) <= places.start:
+            raise ExportError(
+                f"{document.path}: the LuGre friction of actuator number {actuator} is not written "
+                f"out in the file ({name}); write it out"
+            )
+        count = len(numbers[places])
+        numbers[places] = ["0"] * count
+        node.set(name, " ".join(numbers))
+    states = node.get("actdim")
+    if states is not None:
+        node.set("actdim", str(int(states) - 1))
 
 
 # Namespace of Drake's elements, which state the rotor of an actuator in a URDF.

@@ -23,6 +23,11 @@ from robot_sysid.mjcf.inertial import (
     format_number,
     urdf_inertial_about_com,
 )
+from robot_sysid.mjcf.wrong_digits import (
+    is_far_from_possible,
+    nearest_possible,
+    wrong_number,
+)
 from robot_sysid.records import Array
 from robot_sysid.records.messages import MeshesLeftOut
 from robot_sysid.wording import option_name
@@ -49,7 +54,9 @@ def make_compilable(document: ModelDocument) -> tuple[str, ...]:
     """
     notes = list(_use_absolute_meshes(document))
     document.set_compiler({"fusestatic": "false", "strippath": "false"})
-    raised = raise_inertias(document)
+    mended, nearest = mend_inertias(document)
+    notes += [f"{text}; it is used, in a written model too" for text in mended]
+    raised = [*nearest, *raise_inertias(document)]
     if raised:
         listed = "', '".join(raised)
         notes.append(
@@ -215,6 +222,58 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
     return increases
 
 
+def mend_inertias(
+    document: ModelDocument, excluded: Collection[Node] = ()
+) -> tuple[list[str], list[str]]:
+    """Give links whose inertia is far from possible the number that is probably right, in place.
+
+    Where no single number explains it, they get the nearest possible inertia, unless
+    ``balanceinertia`` makes one. Excluded links stay as they are.
+
+    Returns:
+        (what is wrong with each number that was put right, names of links with the nearest one).
+
+    Raises:
+        ValueError: a number cannot be read.
+    """
+    is_balanced = document.compiler_setting("balanceinertia") == "true"
+    lengths = _lengths(document)
+    mended = []
+    nearest = []
+    for link in document.root.findall("link"):
+        node = link.find("inertial/inertia")
+        if node is None or link in excluded:
+            continue
+        six = np.array([float(node.get(name) or 0.0) for name in URDF_MOMENTS])
+        inertia = spatial.symmetric_from_six(six)
+        if not is_far_from_possible(inertia):
+            continue
+        name = str(link.get("name"))
+        reach = 2.0 * float(np.linalg.norm(_origin(link, "xyz")))
+        length = max(lengths.get(name, 0.0), reach)
+        wrong = wrong_number(six, _mass(link), length)
+        body = None if is_balanced else nearest_possible(inertia)
+        if wrong is not None:
+            node.set(wrong.name, format_number(wrong.right))
+            mended.append(wrong.describe(f"link '{name}'"))
+        elif body is not None:
+            for key, value in zip(URDF_MOMENTS, spatial.six_from_symmetric(body)):
+                node.set(key, format_number(value))
+            nearest.append(name)
+    return mended, nearest
+
+
+def _lengths(document: ModelDocument) -> dict[str, float]:
+    """Return link name to the distance from its joint to the farthest next one [m]."""
+    lengths: dict[str, float] = {}
+    for joint in document.root.findall("joint"):
+        parent = str(get(joint.find("parent"), "link"))
+        text = get(joint.find("origin"), "xyz") or "0"
+        length = float(np.linalg.norm(list(map(float, text.split()))))
+        lengths[parent] = max(lengths.get(parent, 0.0), length)
+    return lengths
+
+
 def raise_inertias(
     document: ModelDocument, excluded: Collection[Node] = ()
 ) -> list[str]:
@@ -248,6 +307,20 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
             if 0.0 < limit < math.inf:
                 limits[str(joint.get("name"))] = limit
     return limits
+
+
+def mimics(document: ModelDocument) -> dict[str, str]:
+    """Return joint name to that of the joint which it follows; older MuJoCos drop these.
+
+    A multiplier of zero ties it to nothing.
+    """
+    followed = {}
+    for joint in document.root.findall("joint"):
+        mimic = joint.find("mimic")
+        with contextlib.suppress(ValueError):
+            if mimic is not None and float(mimic.get("multiplier") or 1.0) != 0.0:
+                followed[str(joint.get("name"))] = str(mimic.get("joint"))
+    return followed
 
 
 def _origin(link: Node, name: str) -> Array:

@@ -22,10 +22,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics.passive import acts_by_itself, cogs
 from robot_sysid.records import Array
 
-# MuJoCo's types of transmission by which an actuator acts on a joint directly.
-_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+"""MuJoCo's types of transmission by which an actuator acts on a joint directly."""
 AT_TENDON = (int(mujoco.mjtTrn.mjTRN_TENDON),)
 """MuJoCo's type of transmission by which an actuator acts on a tendon."""
 # MuJoCo's type of a joint that a tendon runs over.
@@ -62,7 +63,7 @@ def gear_ratio(mj_model: Any, actuator: int) -> float:
 
 
 def actuators_on(
-    mj_model: Any, target: int, kinds: Sequence[int] = _AT_JOINT
+    mj_model: Any, target: int, kinds: Sequence[int] = AT_JOINT
 ) -> list[int]:
     """Return the ids of the actuators that act on a joint (id) directly.
 
@@ -82,16 +83,19 @@ def driven_joints(mj_model: Any) -> set[int]:
 def _transmissions(mj_model: Any) -> Array:
     """Return each actuator's speed before its gear per speed of each joint (k, nv).
 
-    It is zero for all joints where an actuator acts neither on a joint nor on a fixed tendon.
+    It is zero for all joints where an actuator acts neither on a joint nor on a fixed tendon, or
+    is none that anyone commands.
     """
     kinds = mj_model.actuator_trntype.tolist()
     transmissions = np.zeros((len(kinds), mj_model.nv))
     targets = mj_model.actuator_trnid[:, 0].tolist()
     for ratios, kind, target in zip(transmissions, kinds, targets):
-        if kind in _AT_JOINT:
+        if kind in AT_JOINT:
             ratios[mj_model.jnt_dofadr[target]] = 1.0
         elif kind in AT_TENDON:
             ratios[:] = tendon_coefficients(mj_model, target)
+    # A motor that cogs is driven, too.
+    transmissions[acts_by_itself(mj_model) & ~cogs(mj_model)] = 0.0
     return transmissions
 
 
@@ -222,7 +226,7 @@ def with_actuators_in_joints(mj_model: Any) -> Any:
     kinds = mj_model.actuator_trntype.tolist()
     targets = mj_model.actuator_trnid[:, 0].tolist()
     for actuator, (kind, target) in enumerate(zip(kinds, targets)):
-        if kind in _AT_JOINT:
+        if kind in AT_JOINT:
             owner, row = "dof", mj_model.jnt_dofadr[target]
         elif kind in AT_TENDON:
             owner, row = "tendon", target

@@ -28,10 +28,13 @@ from robot_sysid.mjcf.urdf import (
     LARGEST,
     link_inertias,
     make_compilable,
+    mimics,
     velocity_limits,
 )
+from robot_sysid.mjcf.wrong_digits import wrong_numbers_of
 from robot_sysid.model.actuators import with_actuators_in_joints
 from robot_sysid.model.bodies import inertia_about_com
+from robot_sysid.model.dry_friction import with_dry_friction_in_joints
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 from robot_sysid.wording import option_name
@@ -67,11 +70,12 @@ class CompiledModel:
     """A compiled model.
 
     Attributes:
-        mj_model: MuJoCo's ``MjModel``, see ``with_actuators_in_joints``.
+        mj_model: MuJoCo's ``MjModel``, see ``in_joints``.
         notes: sentences for the user on what was assumed or warned of.
         sha256: hash of all bytes of its files, includes too; "" without files.
         kind: language of the file, "mjcf" or "urdf".
         velocity_limits: joint name to the speed limit that a URDF states [rad/s or m/s].
+        mimics: joint name to that of the joint which a URDF says it follows.
     """
 
     mj_model: Any
@@ -79,6 +83,7 @@ class CompiledModel:
     sha256: str = ""
     kind: str = "mjcf"
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
+    mimics: Mapping[str, str] = field(default_factory=dict)
 
 
 @contextmanager
@@ -118,7 +123,7 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
     """
     if is_in_memory(model):
         mj_model = _compile_spec(model) if _is_spec(model) else model
-        return CompiledModel(with_actuators_in_joints(mj_model))
+        return CompiledModel(in_joints(mj_model))
     document = read_document(Path(model), mesh_dir)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
         raise ModelError(
@@ -136,12 +141,20 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
         mj_model, notes = _compile(document)
     _check_values(mj_model, document)
     return CompiledModel(
-        with_actuators_in_joints(mj_model),
+        in_joints(mj_model),
         (*notes, *dict.fromkeys(warnings)),
         document.sha256,
         "urdf" if document.is_urdf else "mjcf",
         velocity_limits(document),
+        mimics(document),
     )
+
+
+def in_joints(mj_model: Any) -> Any:
+    """Return a model whose joints and tendons have the rotors, damping and dry friction that its
+    file states elsewhere; it takes the same torques while joints slide.
+    """
+    return with_dry_friction_in_joints(with_actuators_in_joints(mj_model))
 
 
 def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
@@ -178,6 +191,7 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
         if is_changed:
             # The lines of the text are not those of the file.
             message = message.partition(", line")[0]
+        message = "; ".join([message, *_wrong_inertias(document)])
         meshes = [asset.path for asset in find_assets(document) if asset.path]
         names = [name for mesh in meshes for name in (mesh.name, f"'{mesh.stem}'")]
         if document.is_urdf and any(name in message for name in names):
@@ -188,6 +202,12 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
         raise ModelError(f"MuJoCo cannot compile {document.path}: {message}") from None
     restore_exact_inertias(mj_model, inertias)
     return mj_model, notes
+
+
+def _wrong_inertias(document: ModelDocument) -> Iterator[str]:
+    """Yield what is wrong with inertias of an MJCF that MuJoCo refuses."""
+    if not document.is_urdf:
+        yield from wrong_numbers_of(document)
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:

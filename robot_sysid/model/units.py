@@ -15,6 +15,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.model.bodies import link_reach
@@ -32,6 +33,10 @@ LONGEST_ARM = 30.0
 """Longest arm there is, a crane [m]."""
 LARGEST_GYRATION = 1.5
 """Largest radius of gyration of a link that is larger than the arm is long [m]."""
+LARGEST_CENTRE = 3.0
+"""Distance of a link's centre of mass from its joint over the arm's length above which it is no
+link's: of 138 links of public models it is 1.6 times the link's own length at most, and millimetres
+for metres are a factor of 1000."""
 DENSEST = 2e5
 """Mass over the cube of the radius of gyration of a sphere of the densest metal [kg/m^3]."""
 
@@ -74,7 +79,8 @@ def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
 
 
 def refuse_cad_units(robot: RobotModel) -> None:
-    """Raise ModelError where an arm's lengths, masses or inertias are in other units than SI.
+    """Raise ModelError where an arm's lengths, masses or inertias are in other units than SI, or
+    the centre of mass of a single link.
 
     A factor for all masses is advised where the arm with it is one that there may be.
     """
@@ -84,6 +90,13 @@ def refuse_cad_units(robot: RobotModel) -> None:
         is_remedy = unit != 1.0 and not _unit_fault(with_mass_scale(robot, unit))
         remedy = [("--mass-scale", f"{unit:g}")] if is_remedy else []
         raise ModelError(f"{robot.path}: {fault}", remedy)
+    for link in robot.links[:-1]:
+        distance = float(np.linalg.norm(spatial.com_from_theta(link.theta)[1]))
+        if distance > LARGEST_CENTRE * max(robot.reach, SHORTEST_ARM):
+            raise ModelError(
+                f"{robot.path}: the centre of mass of {link.body_name} is probably wrong: it lies "
+                f"{distance:.3g} m from its joint; state it in metres"
+            )
 
 
 def _unit_fault(robot: RobotModel) -> str:

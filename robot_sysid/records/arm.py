@@ -105,6 +105,7 @@ class ArmLink:
         reference: (10,) the same, with a body of the link's geometry for each placeholder.
         size: of the link [m], which the error of its centre of mass is a share of.
         placeholders: those of ``KINDS`` that the model does not state.
+        odd: those of them of which it states a number that no link of its size has.
         bodies: what it is made of, the body ``body_id`` first; none where a later chain joint moves
             that body.
     """
@@ -118,6 +119,7 @@ class ArmLink:
     reference: Array = None  # type: ignore[assignment]
     size: float = 0.0
     placeholders: tuple[str, ...] = ()
+    odd: tuple[str, ...] = ()
     bodies: tuple[SubtreeBody, ...] = ()
 
     def __post_init__(self) -> None:

@@ -96,7 +96,9 @@ def link_result(
     remarks = judge(OF_ARM, evidence)
     # Links that took up the torque of missed friction say nothing of the model's.
     if missed is None:
-        remarks += wrong_links(other_links, written)
+        odd = fitted.question.odd_link
+        name = "" if odd is None else fitted.arm.robot.links[odd].body_name
+        remarks += wrong_links(other_links, written, name)
     return result_of(
         fitted,
         file,

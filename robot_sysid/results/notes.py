@@ -143,14 +143,30 @@ def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
         )
 
 
-def wrong_links(links: Iterable[BodyEstimate], file: ModelFile) -> Iterator[Remark]:
-    """Yield a doubt on each link whose first moment in the model the recordings contradict.
+def wrong_links(
+    links: Iterable[BodyEstimate], file: ModelFile, odd: str
+) -> Iterator[Remark]:
+    """Yield a doubt on each link whose mass or first moment in the model the recordings contradict.
 
-    ``file`` is the written model, which keeps the link or has it corrected.
+    Args:
+        links: estimates of links before the last.
+        file: the written model, which keeps the link or has it corrected.
+        odd: name of the link whose mass is far more off than the others'; "" for none.
     """
     is_kept = FILE_LINKS in file.kept
     remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
-    for wrong in filter(None, map(wrong_moment, links)):
+    for link in links:
+        if link.name == odd and link.prior is not None:
+            text = (
+                f"{odd} of the model is probably wrong: its mass is "
+                f"{with_error(link.mass, link.errors[0], 'kg')}, in the model "
+                f"{link.prior.mass:.3g}, and counts as not known"
+            )
+            yield Remark(Level.DOUBTS, odd, text, remedy)
+            continue
+        wrong = wrong_moment(link)
+        if wrong is None:
+            continue
         text = (
             f"{wrong.link} of the model is probably wrong: its mass times the distance of its "
             f"centre of mass is {with_error(wrong.moment, wrong.error, 'kg·m')}, in the model "

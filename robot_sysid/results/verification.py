@@ -22,10 +22,11 @@ from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
 )
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.mjcf.updated_model import ModelChange
+from robot_sysid.mjcf.updated_model import ElementChange, ModelChange
 from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.dry_friction import COULOMB_OF_MOTOR, SPRING_NUMBERS
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 
 CHECKPOINTS = 400
@@ -61,6 +62,15 @@ DERIVED = {
     "actuator_dampingpoly",
     "jnt_actuatorid",
     "tendon_actuatorid",
+    # Places and numbers of states, which motors with bristles and springs that yield have; what has
+    # them is compared itself, and those of keyframes stay as their text.
+    "nplastic",
+    "jnt_plasticadr",
+    "tendon_plasticadr",
+    "na",
+    "actuator_actadr",
+    "key_act",
+    "key_plastic",
     # Whether a body's inertia is diagonal in its joint's axes, or a geom or site coincides with its
     # body's inertial frame: shortcuts for the engine.
     "body_simple",
@@ -133,17 +143,30 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
                 expected.actuator_gainprm[row, 0] = kp
             bias = (0.0, -kp, -element.numbers.get("kv", 0.0))
             expected.actuator_biasprm[row, :3] = bias
+        if owner == "actuator" and "frictionloss" in element.numbers:
+            friction = slice(COULOMB_OF_MOTOR, COULOMB_OF_MOTOR + 3)
+            expected.actuator_biasprm[row, friction] = 0.0
         if owner == "joint":
+            joint = labels.index(element.owner)
+            if "springyield" in element.numbers:
+                # It has no stiffness already, see ``model.dry_friction``.
+                expected.jnt_springyield[joint] = 0.0
             owner = "dof"
-            row = original.jnt_dofadr[labels.index(element.owner)]
+            row = original.jnt_dofadr[joint]
         if owner in ("dof", "tendon") and row is not None:
-            for name, value in element.numbers.items():
-                getattr(expected, f"{owner}_{name}")[row] = value
+            for name in _moving_numbers(element):
+                getattr(expected, f"{owner}_{name}")[row] = element.numbers[name]
             if element.further is not None:
                 getattr(expected, f"{owner}_dampingpoly")[row] = element.further
     if change.gravity is not None:
         expected.opt.gravity = change.gravity
     return expected
+
+
+def _moving_numbers(element: ElementChange) -> list[str]:
+    """Return which numbers of a joint or tendon MuJoCo keeps with those of its motion."""
+    is_joint = element.kind == "joint"
+    return [n for n in element.numbers if not (is_joint and n in SPRING_NUMBERS)]
 
 
 def compiled_file(written: Path) -> Any:

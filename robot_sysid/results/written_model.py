@@ -20,7 +20,14 @@ import mujoco
 import numpy as np
 
 from robot_sysid import __version__
-from robot_sysid.dynamics.friction import BEND, POLYNOMIAL, TERMS, VISCOUS, polynomial
+from robot_sysid.dynamics.friction import (
+    BEND,
+    COULOMB,
+    POLYNOMIAL,
+    TERMS,
+    VISCOUS,
+    polynomial,
+)
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
@@ -34,6 +41,7 @@ from robot_sysid.model.actuators import AT_TENDON, actuators_on, names_at_actuat
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import mjcf_of
+from robot_sysid.model.dry_friction import SPRING_NUMBERS, has_lugre, yields
 from robot_sysid.model.units import with_mass_scale
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
@@ -312,7 +320,8 @@ def _write(
             torques. The draft is withdrawn on this and on any other exception.
     """
     release = tuple(map(int, mujoco.__version__.split(".")[:2]))
-    elements = (*change.elements, *_emptied_actuators(robot, change))
+    stated = tuple(_without_springs(robot, each) for each in change.elements)
+    elements = (*stated, *_emptied_actuators(robot, change))
     change = replace(change, principal=release < (3, 14), elements=elements)
     old_bodies = tuple(body for body in change.bodies if body.flange is None)
     old = tuple(element for element in elements if element.owner is not None)
@@ -341,9 +350,10 @@ def _compiled_draft(source: Path, change: ModelChange, target: ModelTarget) -> A
 def _emptied_actuators(
     robot: RobotModel, change: ModelChange
 ) -> Iterator[ElementChange]:
-    """Yield changes that take rotors and damping from actuators whose joint or tendon gets them.
+    """Yield changes that take rotors and friction from actuators whose joint or tendon gets them.
 
-    Since MuJoCo 3.7 a file may state them at either; an identification knows their sum.
+    Since MuJoCo 3.7 a file may state rotors and damping at either, since MuJoCo 4 dry friction; an
+    identification knows their sum.
     """
     model = robot.mj_model
     for element in change.elements:
@@ -354,10 +364,30 @@ def _emptied_actuators(
         elif element.kind == "tendon" and element.owner is not None:
             actuators = actuators_on(model, element.owner, AT_TENDON)
         for actuator in actuators:
-            emptied = names_at_actuator(model, actuator) & {*element.numbers}
+            stated = names_at_actuator(model, actuator)
+            stated |= {COULOMB.attribute} if has_lugre(model)[actuator] else set()
+            emptied = stated & {*element.numbers}
             if emptied:
                 numbers = dict.fromkeys(sorted(emptied), 0.0)
                 yield ElementChange("actuator", actuator, numbers)
+
+
+def _without_springs(robot: RobotModel, element: ElementChange) -> ElementChange:
+    """Return a change of a joint or tendon that takes its spring, too, if that is dry friction."""
+    model = robot.mj_model
+    if COULOMB.attribute not in element.numbers or element.owner is None:
+        return element
+    if element.kind == "joint":
+        dof = robot.dof_index[robot.joint_names.index(element.owner)]
+        is_friction = yields(model, "jnt", int(model.dof_jntid[dof]))
+    else:
+        is_friction = element.kind == "tendon" and yields(
+            model, "tendon", element.owner
+        )
+    if not is_friction:
+        return element
+    nothing = dict.fromkeys(SPRING_NUMBERS, 0.0)
+    return replace(element, numbers={**element.numbers, **nothing})
 
 
 def versions() -> dict[str, str]:

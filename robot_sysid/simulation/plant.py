@@ -7,9 +7,10 @@ from the rounded positions. Torque noise leaves the motion exact.
 
 Arms that move under torques are MuJoCo's forward dynamics of the chain, everything else held still.
 The chain is the n joints of the arm, base to terminal.
-What acts: rigid-body dynamics, armature, springs, damping and friction. What does not: contacts
-and equalities (an excitation trajectory touches none of them), the model's actuators (the torque
-comes from outside), gravity compensation and drag.
+What acts: rigid-body dynamics, armature, springs, damping, friction, and actuators whose force does
+not depend on their control. What does not: contacts and equalities (an excitation trajectory
+touches none of them), the model's motors and servos (the torque comes from outside), gravity
+compensation and drag.
 
 Joints outside the chain (fingers, a second arm, loose objects) get so much armature that nothing
 moves them. None of them carries the chain, so the chain feels a rigid load and nothing else.
@@ -135,8 +136,8 @@ def forward_model(robot: RobotModel) -> Any:
     """Return a copy of an arm's compiled MuJoCo model in which only the chain moves.
 
     Contacts, joint stops, equalities, gravity compensation and drag are switched off, actuators
-    have no effect, and joints have no damping; joints outside the chain get an armature that holds
-    them still. The copy may be changed.
+    have no effect but those that act whatever their control is, and joints have no damping; joints
+    outside the chain get an armature that holds them still. The copy may be changed.
     """
     # A rollout that diverges must not go on from the start; a chain has no islands to be found.
     disabled = ("CONTACT", "SENSOR", "EQUALITY", "LIMIT", "AUTORESET", "ISLAND")
@@ -151,8 +152,6 @@ def forward_model(robot: RobotModel) -> Any:
     if not model.ntendon:
         # Nothing needs the pose of a geom: MuJoCo then takes it from its body.
         model.geom_sameframe[:] = 1
-    # Actuators may have states.
-    model.actuator_gear[:] = 0.0
     model.actuator_ctrllimited[:] = 0
     if hasattr(model, "actuator_delay"):
         # In releases with delayed actuators; the commands of a rollout are delayed already.
@@ -200,6 +199,7 @@ class ArmStepper:
         # Damping and dry friction are stepped here, not by MuJoCo: nothing here calls its
         # constraint solver, in which its frictionloss would act.
         self._model = forward_model(robot)
+        self._has_passive_actuators = bool(np.any(self._model.actuator_gear))
         self._data = data_at_pose(self._model, robot.reference_qpos)
         self.viscous = robot.friction.viscous
         # Friction torque (motors, n) of motors that turn several joints; no rows where none does.
@@ -290,8 +290,9 @@ class ArmStepper:
     def _dynamics(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain.
 
-        The bias is gravity, Coriolis and centrifugal torque minus that of springs [N m]. MuJoCo's
-        data is left at positions q (n,) and velocities qd (n,).
+        The bias is gravity, Coriolis and centrifugal torque minus that of springs and of actuators
+        that act by themselves [N m]. MuJoCo's data is left at positions q (n,) and velocities
+        qd (n,).
         """
         data = self._data
         dofs = self._robot.dof_index
@@ -301,6 +302,9 @@ class ArmStepper:
         mujoco.mj_fwdVelocity(self._model, data)
         mujoco.mj_solveM(self._model, data, self._accelerations, self._unit_torques)
         bias = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
+        if self._has_passive_actuators:
+            mujoco.mj_fwdActuation(self._model, data)
+            bias -= data.qfrc_actuator[dofs]
         return self._accelerations[:, dofs], bias
 
     def _resolve_dry_friction(

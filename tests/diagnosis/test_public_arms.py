@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from rigs.arms.wrong_arms import ARMS, link_torque, truth_of
 from rigs.files.places import MODELS
+from robot_sysid.model.bodies import write_body
 from robot_sysid.diagnosis.misfits import lost_links
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Level
@@ -91,3 +93,24 @@ def test_right_logs_are_accused_of_nothing(truth):
     for log in (truth.log, swings(robot, 0), swings(robot, 1)):
         found = findings_of(truth.robot, log)
         assert all(finding.level is Level.SAYS for finding in found), found
+
+
+def test_a_forearm_with_a_quarter_of_its_mass_is_named_and_its_error_widens(truth):
+    robot = truth.robot
+    forearm = robot.n_joints - 4
+    model = copy.copy(robot.mj_model)
+    light = 0.25 * robot.links[forearm].theta
+    write_body(model, robot.links[forearm].body_id, light)
+    name = robot.links[forearm].body_name
+    answer = judged(load_robot_model(model), truth.log)
+    (found,) = answer.findings
+    assert found.level is Level.SAYS
+    assert f"contradicts the model's mass of {name}" in found.text
+    key = f"m({name})"
+    error = answer.fit.error_of(key)
+    assert abs(answer.fit.by_name[key] - truth.arm.thetas[forearm, 0]) < 3.0 * error
+
+
+def test_links_that_are_off_as_usual_are_not(truth):
+    answer = judged(truth.robot, truth.log)
+    assert answer.findings == () and answer.fit.question.odd_link is None

@@ -44,6 +44,7 @@ from robot_sysid.estimate.links import (
     deviations,
     link_directions,
     link_factor,
+    odd_number,
 )
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
@@ -280,6 +281,42 @@ def test_link_scales_that_the_data_shows_are_found(scales):
     nothing = LinkEvidence(STATED, 1.0, np.zeros((42, 42)), np.zeros(42))
     usual = average_scales(nothing)
     assert 4.0 < usual.mass < 6.0 and 2.0 < usual.centre_of_mass < 4.0
+
+
+def off_by(size, seed=0):
+    """Return the evidence of links as usual, the mass of the third one off by a size."""
+    evidence, _, _ = evidence_of(seed, USUAL)
+    off = np.zeros(42)
+    off[20] = size
+    share = 0.05
+    # As shares of the masses, and so on: the deviations of ``evidence_of`` are of a share of one.
+    gradient = share * evidence.gradient + evidence.curvature @ off
+    return replace(evidence, share=share, gradient=gradient)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_mass_that_is_far_more_off_than_others_is_found(seed):
+    assert odd_number(off_by(0.0, seed)) is None
+    assert odd_number(off_by(3.0, seed)) == 2
+    assert odd_number(off_by(-3.0, seed)) == 2
+
+
+def test_an_error_that_all_masses_share_is_none_of_one_link():
+    evidence = off_by(0.0)
+    common = np.zeros(42)
+    common[40] = 0.5
+    gradient = evidence.gradient + evidence.curvature @ common
+    assert odd_number(replace(evidence, gradient=gradient)) is None
+
+
+def test_the_mass_of_an_odd_link_has_an_error_as_large_as_itself():
+    arm = small_arms.robot_of(XML)
+    for odd in (None, 1):
+        factor = link_factor(arm, (0, 1), 0.05, AS_STATED, odd)
+        errors = np.sqrt(np.sum(factor**2, axis=1))[[0, 10]]
+        masses = np.array([arm.links[link].theta[0] for link in (0, 1)])
+        own = np.array([0.05, 0.05 if odd is None else 1.0])
+        assert_allclose(errors / masses, np.hypot(own, 0.05))
 
 
 def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from rigs.arms.small_arms import compile_xml, robot_of
 from rigs.files import urdf
 from rigs.files.places import MODELS
+from rigs.files.refusals import refused
 from rigs.files.releases import since
 from robot_sysid import spatial
+from robot_sysid.errors import ModelError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import KINDS
 
@@ -44,9 +46,15 @@ def arm(folder, placeholders=()):
     )
 )
 def test_what_is_not_stated_is_found_by_kind_and_named_once(tmp_path_factory, drawn):
+    # Where half of the links have such inertias, units are blamed.
+    assume(sum(kind == INERTIA for _, kind in drawn) < 2)
     robot = arm(tmp_path_factory.mktemp("arm"), drawn)
-    notes = [note for note in robot.notes if "placeholders" in note]
-    assert len(notes) == bool(drawn)
+    is_wrong = [("inertia", number) for number, kind in drawn if kind == INERTIA]
+    masses = {number for number, kind in drawn if kind == MASS}
+    is_odd = any(number not in masses for _, number in is_wrong)
+    others = [(number, kind) for number, kind in drawn if kind != INERTIA]
+    notes = [n for n in robot.notes if "placeholders" in n or "probably wrong" in n]
+    assert len(notes) == bool(others) + is_odd
     # Nothing is known of the inertia of a mass that is not.
     implied = {(number, INERTIA) for number, kind in drawn if kind == MASS}
     for number, link in enumerate(robot.links):
@@ -123,3 +131,34 @@ def test_shapes_say_whether_a_centre_of_mass_is_at_the_joint(offset, is_stated):
 def test_public_models_state_their_links(model):
     robot = load_robot_model(MODELS / model)
     assert not any(link.placeholders for link in robot.links)
+
+
+@pytest.mark.parametrize(
+    ("kind", "factor"), [(INERTIA, 0.1), (INERTIA, 1e6), (INERTIA, 1e9), (CENTRE, 1e3)]
+)
+def test_a_number_of_one_link_in_another_unit_is_named_and_counts_as_not_known(
+    tmp_path, kind, factor
+):
+    """A tenth of an inertia; one in kg mm2 or g mm2; a centre of mass in mm."""
+    bodies = {}
+    for number, mass in enumerate(MASSES):
+        com = CENTRE_OF_MASS * (factor if (number, kind) == (1, CENTRE) else 1.0)
+        inertia = mass * np.diag([0.0035, 0.0034, 0.0008])
+        inertia *= factor if (number, kind) == (1, INERTIA) else 1.0
+        bodies[f"link{number}"] = mass, com, inertia
+    path = urdf.write_bodies(tmp_path, bodies)
+    if kind == CENTRE:
+        with refused(
+            "the centre of mass of link1 is probably wrong.*100 m", ModelError
+        ):
+            load_robot_model(path)
+        return
+    robot = load_robot_model(path)
+    right = arm(tmp_path)
+    (note,) = robot.notes
+    assert note.startswith(f"the {kind} of link1 in the model is probably wrong")
+    link = robot.links[1]
+    assert link.placeholders == link.odd == (kind,)
+    expected = spatial.com_from_theta(right.links[1].theta)[1]
+    assert spatial.com_from_theta(link.reference)[1] == pytest.approx(expected)
+    assert not any(other.odd for other in (*robot.links[:1], *robot.links[2:]))

@@ -225,11 +225,18 @@ def test_a_joint_with_unexplained_torque_is_named_unless_it_is_white_noise(
 def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is_named):
     """By 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
     link = replace(body(distance, error), prior=body())
-    named = list(wrong_links([link], made.model_file()))
+    named = list(wrong_links([link], made.model_file(), ""))
     assert len(named) == is_named
     for remark in named:
         assert (remark.level, remark.about) == (Level.DOUBTS, link.name)
         assert "0.150 ± 0.010 kg·m, in the model 0.1," in remark.text
+
+
+def test_a_link_whose_mass_is_far_off_is_named_by_its_mass():
+    link = replace(body(0.15, 0.01), prior=body())
+    (remark,) = wrong_links([link], made.model_file(), link.name)
+    assert f"{link.name} of the model is probably wrong: its mass is" in remark.text
+    assert "counts as not known" in remark.text
 
 
 @pytest.mark.parametrize(

@@ -282,6 +282,64 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
         assert not np.any(getattr(model, f"actuator_{name}"))
 
 
+LUGRE = (
+    '<dcmotor joint="joint{}" gear="2" motorconst="1e-3 1e-3" resistance="1" lugre="{}"/>',
+    '<general joint="joint{}" gear="2" dyntype="dcmotor" gaintype="dcmotor" biastype="dcmotor" '
+    'actdim="1" actearly="true" actlimited="false" gainprm="1 1e-3" dynprm="0 0 0 0 0 1e3 5" '
+    'biasprm="0 0 0 .5 .6 .1"/>',
+)
+
+
+@since(4)
+@pytest.mark.parametrize("motor", LUGRE)
+def test_friction_of_motors_and_springs_that_yield_gives_way_to_identified(
+    tmp_path, motor
+):
+    """It is in the written file once, by MuJoCo's own simulation, at a joint that slides."""
+    xml = small_arms.serial_arm(
+        (small_arms.Z, small_arms.Y, small_arms.X),
+        joint='stiffness="100" springyield=".3" limited="true" range="-9 9"',
+        extra=f"<actuator>{motor.format(2, '1e3 5 .5 .6 .1')}"
+        '<position joint="joint1" kp="5"/></actuator>',
+    )
+    robot = load_arm(tmp_path, xml)
+    yielding = 100.0 * robot.mj_model.jnt_springyield
+    assert_allclose(robot.friction.coulomb, yielding + [0.0, 0.0, 1.0])
+    rng = np.random.default_rng(0)
+    joints = new_joints(robot, rng)
+    result = result_of(robot, **file_of(joints))
+    path = write_and_compile(robot, result).path
+    model = mujoco.MjModel.from_xml_path(str(path))
+    dry = [numbers["frictionloss"] for numbers in joints.values()]
+    assert_allclose(model.dof_frictionloss, dry)
+    model.dof_frictionloss[:] = 0.0
+    model.dof_damping[:] = 0.0
+    model.opt.gravity[:] = 0.0
+    model.dof_armature[:] = 1e9
+    data = mujoco.MjData(model)
+    data.qvel[2] = 0.4
+    for _ in range(100):
+        mujoco.mj_step(model, data)
+    # What the motor brakes by its voltage is left.
+    assert_allclose(data.qfrc_passive + data.qfrc_actuator, 0.0, atol=1e-5)
+
+
+@since(4)
+def test_friction_of_a_class_of_motors_is_written_out_first(tmp_path):
+    motor = LUGRE[1].format(2).replace('dynprm="0 0 0 0 0 1e3 5"', "")
+    xml = small_arms.serial_arm(
+        (small_arms.Z, small_arms.Y, small_arms.X),
+        extra='<default><general dynprm="0 0 0 0 0 1e3 5"/></default>'
+        f"<actuator>{motor}</actuator>",
+    )
+    robot = load_arm(tmp_path, xml)
+    joints = new_joints(robot, np.random.default_rng(0))
+    with pytest.raises(
+        ExportError, match=r"LuGre friction of actuator number 0 is not"
+    ):
+        write_and_compile(robot, result_of(robot, **file_of(joints)))
+
+
 SLACK = small_arms.TENDON_SPRING.replace(
     'stiffness="25" springlength=".2" damping="3"', ""
 )
