@@ -124,6 +124,24 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     yield from mountings(robot)
 
 
+def mistakes_of_light(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield those that a log may have which fits all the same, as of a wrist without weight.
+
+    They are signs, and exchanges of joints beside one another.
+    """
+    for each in _QUANTITIES:
+        yield from signs(robot, moving, each)
+        for pair in zip(moving, moving[1:]):
+            yield from orders(robot, pair, each)
+
+
+def is_torque_sign(mistake: Mistake) -> bool:
+    """Return whether a mistake is the sign of one joint's torque."""
+    turned = np.diag(mistake.reading.torque) < 0.0
+    is_position = np.any(np.diag(mistake.reading.position) < 0.0)
+    return bool(np.count_nonzero(turned) == 1 and not is_position)
+
+
 @dataclass(frozen=True)
 class _Quantities:
     """Quantities whose columns a mistake changes: their names, as subject and verb, as scope."""

@@ -12,7 +12,12 @@ from collections.abc import Iterator
 from itertools import chain
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.column_search import Correction, Evidence, column_correction
+from robot_sysid.diagnosis.column_search import (
+    Correction,
+    Evidence,
+    column_correction,
+    single_correction,
+)
 from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.misfits import (
     friction_findings,
@@ -31,7 +36,7 @@ from robot_sysid.diagnosis.plausibility import (
 )
 from robot_sysid.diagnosis.scales import ScaleCorrections, odd_unit
 from robot_sysid.diagnosis.scores import Score
-from robot_sysid.diagnosis.search import Search, name_faults, search_faults
+from robot_sysid.diagnosis.search import OF_SCALES, Search, name_faults, search_faults
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.records.fault_names import FaultName
@@ -81,15 +86,17 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     is_experiment = is_of_single_joints(fitted)
     scales = ScaleCorrections(fitted, evidence)
     search = search_faults(Correction((), 0.0, fitted), evidence, scales)
-    # Links that may be off hide much of a direction that was stated the wrong way round.
-    is_fitting = (
-        fits(fitted)
-        and not any(map(is_like_gravity, search.winners))
-        and fitted.arm.robot.gravity is None
-    )
     # An arm that is compared with its model has played the motion: its columns are those of its
     # motors, and a sign or an order would pass for what has happened to it.
     is_of_model = fitted.question.differing is not None
+    if not (is_experiment or is_of_model):
+        search = search_or_single(search, evidence, scales)
+    # Links that may be off hide much of a direction that was stated the wrong way round.
+    is_fitting = (
+        fits(search.start.fit)
+        and not any(map(is_like_gravity, search.winners))
+        and fitted.arm.robot.gravity is None
+    )
     if not (is_experiment or is_fitting or is_of_model):
         search = search_or_corrected(search, evidence, scales)
     right = search.start.fit
@@ -121,6 +128,32 @@ def is_like_gravity(score: Score) -> bool:
     is_of_arm = score.explanation.effect.joint is None
     is_harmful = score.level is not Level.SAYS
     return is_of_arm and is_harmful and score.name in LIKE_GRAVITY
+
+
+def search_or_single(
+    search: Search, evidence: Evidence, scales: ScaleCorrections
+) -> Search:
+    """Return a search in a log, or the one in a log with mistakes of single joints put right.
+
+    They may hide in a log that fits. Where the first search blames scales only, one joint that all
+    others contradict is simpler.
+    """
+    fitted = scales.fitted
+    tried = [*single_correction(fitted, evidence, fits(fitted))]
+    tried += [] if scales.alone is None else [scales.alone]
+    for each in tried:
+        if each.gain < CLEAR or not is_plausible(each.fit):
+            continue
+        corrected = search_faults(each, evidence, scales)
+        blamed = {score.name for score in search.winners}
+        blamed |= {finding.about for finding in search.start.findings}
+        is_simpler = each is scales.alone and blamed and blamed <= {*OF_SCALES}
+        if corrected.explains and is_simpler:
+            search = corrected
+        else:
+            searches = search, corrected
+            search = max(searches, key=lambda each: (each.explains, each.gain))
+    return search
 
 
 def search_or_corrected(

@@ -84,6 +84,9 @@ TORQUES = {
     "torque-scale: torque of joint joint3 alone reads": lambda t: (
         t.log.tau * [1.0, 1.0, 1.0, 1e3]
     ),
+    "torque-scale: torque of joint joint0 reads": lambda t: (
+        t.log.tau * [0.5, 1.0, 1.0, 1.0]
+    ),
     "computed": lambda t: t.rigid,
     "sign": lambda t: t.log.tau * [1.0, -1.0, 1.0, 1.0],
     "delay": lambda t: np.roll(t.log.tau, 10, axis=0),
