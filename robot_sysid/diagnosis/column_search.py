@@ -341,14 +341,14 @@ def single_correction(
     rows = mistakes_of_light if is_fitting else mistakes
     tried = [*rows(fitted.arm.robot, moving)]
     found = ColumnSearch(fitted).one_by_one(tried, evidence)
-    yield from correction_of(fitted, found)
+    yield from correction_of(fitted, found, range(len(found), len(found) + 1))
 
 
 def column_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of the mistakes that fit best together, if there are any."""
     tried = [*mistakes(fitted.arm.robot, moving_joints(fitted))]
     found = ColumnSearch(fitted).best_together(tried, evidence)
-    yield from correction_of(fitted, found)
+    yield from correction_of(fitted, found, range(1, len(found) + 1))
 
 
 def moving_joints(fitted: Fit) -> list[int]:
@@ -358,13 +358,17 @@ def moving_joints(fitted: Fit) -> list[int]:
     return moving
 
 
-def correction_of(fitted: Fit, found: Sequence[Mistake]) -> Iterator[Correction]:
-    """Yield the correction of the first of some mistakes with which the whole log fits."""
+def correction_of(
+    fitted: Fit, found: Sequence[Mistake], numbers: Sequence[int]
+) -> Iterator[Correction]:
+    """Yield the correction of the first ones of some mistakes, if there are any.
+
+    They are as many as the least of some ``numbers`` with which the whole log fits, else the last.
+    """
     robot = fitted.arm.robot
-    is_fitting = fits(fitted)
     after = fitted
     findings: list[Finding] = []
-    for number in range(1, len(found) + 1):
+    for number in numbers if found else ():
         reading = Reading.of(robot.n_joints, found[:number])
         findings = [*column_findings(robot, found[:number], reading)]
         if reading.gravity is None:
@@ -372,7 +376,7 @@ def correction_of(fitted: Fit, found: Sequence[Mistake]) -> Iterator[Correction]
         else:
             after, turned = mounting_correction(fitted, reading, reading.gravity)
             findings += turned
-        if fits(after) and not is_fitting:
+        if fits(after):
             break
     if findings:
         yield Correction(tuple(findings), gain_between(fitted, after), after)
