@@ -20,11 +20,14 @@ import numpy as np
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.columns import (
     OF_COLUMNS,
+    ZERO_STEP,
     Mistake,
     Reading,
     is_torque_sign,
     mistakes,
     mistakes_of_light,
+    positions_of_joints,
+    zero_of,
 )
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.plausibility import fits
@@ -57,6 +60,8 @@ FINE_RESIDUAL = 0.001
 right logs none reads better with one; of 30 with a wrong sign or order of wrists all but two do."""
 KEPT = 40
 """Readings of positions of which the sums are kept: 0.7 MB each, of an arm of seven joints."""
+ZERO_ROUNDS = 5
+"""Rounds in which the step around the best angle of a zero is halved, to a degree."""
 MOST_SIGNS = 7
 """Joints of which all signs of torques are tried together, 128 ways."""
 FIRST_NOISE = 0.05
@@ -75,7 +80,8 @@ ALIKE = 1.0
 LEAST_NOISE = 1e-3
 """Least noise by which two fits are compared, as a share of all torque."""
 TURNED = 5.0
-"""Angle from which on a base is mounted otherwise; less is a tilt [degrees]."""
+"""Angle from which on a base is mounted otherwise, or a zero is a mistake of positions; less is a
+tilt, or a fault of the torque [degrees]."""
 MOUNTING_TILT = 15.0
 """Tilt that is allowed about one of the 26 directions: they are at most some 27 degrees from the
 true one, usually half as much [degrees]."""
@@ -234,6 +240,35 @@ class ColumnSearch:
             score, found = after, longer
         return found
 
+    def position(self, joints: Sequence[int]) -> list[Mistake]:
+        """Return the zero or gear of one of some joints with which the log reads best; [] for none.
+
+        The angle of a zero is found to a degree.
+        """
+        n = self.arm.robot.n_joints
+
+        def score(mistake: Mistake) -> float:
+            """Return the log likelihood without a mistake."""
+            return self.score([mistake], FINE_RESIDUAL)
+
+        tried = list(positions_of_joints(self.arm.robot, joints))
+        if not tried:
+            return []
+        most, best = max(
+            ((score(each), each) for each in tried), key=lambda way: way[0]
+        )
+        step = ZERO_STEP if best.name is FaultName.ZERO else 0.0
+        joint = int(np.argmax(np.abs(best.reading.zeros)))
+        for _ in range(ZERO_ROUNDS if step else 0):
+            step *= 0.5
+            angle = best.reading.zeros[joint]
+            ways = [zero_of(n, joint, angle + side) for side in (-step, step)]
+            scored = [(most, best), *((score(each), each) for each in ways)]
+            most, best = max(scored, key=lambda way: way[0])
+        is_clear = most > self.score([], FINE_RESIDUAL) + CLEAR
+        is_small = step and np.max(np.abs(best.reading.zeros)) < np.radians(TURNED)
+        return [best] if is_clear and not is_small else []
+
     def _signs(self, tried: Sequence[Mistake]) -> tuple[float, list[Mistake]]:
         """Return the likeliest turned signs of torques, two at least, with their likelihood."""
         turned = [each for each in tried if is_torque_sign(each)]
@@ -341,6 +376,16 @@ def single_correction(
     rows = mistakes_of_light if is_fitting else mistakes
     tried = [*rows(fitted.arm.robot, moving)]
     found = ColumnSearch(fitted).one_by_one(tried, evidence)
+    yield from correction_of(fitted, found, range(len(found), len(found) + 1))
+
+
+def position_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+    """Yield the correction of one joint's zero, by any angle, or gear, if it gains clearly.
+
+    A small error of a zero is a row of the faults of torque.
+    """
+    evidence.advance()
+    found = ColumnSearch(fitted).position(moving_joints(fitted))
     yield from correction_of(fitted, found, range(len(found), len(found) + 1))
 
 

@@ -16,6 +16,7 @@ from robot_sysid.diagnosis.column_search import (
     Correction,
     Evidence,
     column_correction,
+    position_correction,
     single_correction,
 )
 from robot_sysid.diagnosis.columns import OF_COLUMNS
@@ -140,7 +141,10 @@ def search_or_single(
     """
     fitted = scales.fitted
     tried = [*single_correction(fitted, evidence, fits(fitted))]
-    tried += [] if scales.alone is None else [scales.alone]
+    if not any(fits(each.fit) for each in tried):
+        tried += [] if scales.alone is None else [scales.alone]
+        if search.winners or not fits(fitted) or scales.scales.is_odd:
+            tried += position_correction(fitted, evidence)
     for each in tried:
         if each.gain < CLEAR or not is_plausible(each.fit):
             continue

@@ -24,6 +24,7 @@ from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import (
     LAST_LINK,
+    LINKS,
     PAYLOAD_NAMES,
     Point,
     Term,
@@ -142,9 +143,24 @@ class Score:
         least = HARMFUL_SHAPE if explanation.is_shape else UNEXPLAINED
         # An arm that is compared with its model is asked for no link: only its torques count.
         is_of_link = not explanation.is_shape and self.fitted.question.differing is None
-        moves_links = is_of_link and bool(np.any(change > self.errors))
+        moves_links = is_of_link and (bool(np.any(change > self.errors)) or self.spoils)
         is_harmful = self.share > least or moves_links
         return explanation.fault.level if is_harmful else Level.SAYS
+
+    @property
+    def spoils(self) -> bool:
+        """Whether links before the last, which the file holds, are wrong without it.
+
+        What a payload is asked for, an empty and a loaded log have in common.
+        """
+        fitted = self.fitted
+        of_links = [
+            span for term, span in fitted.equations.spans if term.cause == LINKS
+        ]
+        if not of_links or fitted.question.loaded:
+            return False
+        change = np.abs(self.offer.change[of_links[0]])
+        return bool(np.any(change > INTERVAL * fitted.errors[of_links[0]]))
 
     @property
     def is_reportable(self) -> bool:
