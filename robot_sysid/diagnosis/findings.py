@@ -21,6 +21,7 @@ from robot_sysid.diagnosis.column_search import (
 )
 from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.misfits import (
+    delay_findings,
     friction_findings,
     misfit,
     model_findings,
@@ -112,6 +113,8 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if not search.explains:
         return unexplained_findings(fitted, search), right
     named += name_faults(search.rounds[:MOST_NAMED])
+    if not any(each.about is FaultName.DELAY for each in named):
+        named += delay_findings(right)
     unmeasured = [each for each in named if each.about in UNMEASURED]
     if unmeasured:
         return unmeasured, right
