@@ -149,7 +149,9 @@ def search_or_single(
         if search.winners or not fits(fitted) or scales.scales.is_odd:
             tried += position_correction(fitted, evidence)
     for each in tried:
-        if each.gain < CLEAR or not is_plausible(each.fit):
+        # Columns of another arm's log fit its model no better in any order.
+        is_right = is_plausible(each.fit) and not is_sibling(each.fit)
+        if each.gain < CLEAR or not is_right:
             continue
         corrected = search_faults(each, evidence, scales)
         blamed = {score.name for score in search.winners}
