@@ -71,6 +71,8 @@ NOISE_ROUNDS = 2
 joint that other joints' errors were left to."""
 FOLLOWED = 3
 """Likeliest first mistakes that are followed, as one that is wrong may fit as well alone."""
+LIKELY = 40
+"""Likeliest first mistakes that are tried beside others: four wrong signs are among them."""
 MOST_TOGETHER = 8
 """Largest number of mistakes that act together."""
 LEAST_OF_FIRST = 0.5
@@ -290,13 +292,16 @@ class ColumnSearch:
     ) -> list[Mistake]:
         """Return the mistakes that fit best together, one after the other; [] for none."""
         before = self.score([])
-        firsts = self._longer([], [*tried, *self._pairs(tried)])
+        pairs = [*self._pairs(tried)]
+        firsts = self._longer([], [*tried, *pairs])
+        are_pairs = {*map(id, pairs)}
+        likely = [way[0] for _, way in firsts if id(way[0]) not in are_pairs][:LIKELY]
         least = before + max(CLEAR, LEAST_OF_FIRST * (firsts[0][0] - before))
         ways = []
         for score, found in firsts[:FOLLOWED]:
             while score > least and len(found) < MOST_TOGETHER:
                 evidence.advance()
-                after, longer = self._longer(found, tried)[0]
+                after, longer = self._longer(found, likely)[0]
                 if after < score + CLEAR:
                     break
                 score = after

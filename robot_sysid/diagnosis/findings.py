@@ -173,7 +173,9 @@ def search_or_corrected(
     Gains are compared, so that corrections are of the log as it was recorded, which ``scales`` has,
     also where the search itself has corrected its torque scales.
     """
-    best = sorted(corrections(evidence, scales), key=lambda each: -each.gain)
+    # Of a log that does not fit, each mistake of columns was tried by itself.
+    is_column = fits(scales.fitted) or not search.explains
+    best = sorted(corrections(evidence, scales, is_column), key=lambda c: -c.gain)
     # Whatever explains torques in another unit, they are not right as they are.
     is_unit = is_foreign(scales.fitted)
     searches = [search_faults(each, evidence, scales) for each in best[:1]]
@@ -181,11 +183,17 @@ def search_or_corrected(
     return max(searches, key=lambda each: (each.explains, is_unit or each.gain))
 
 
-def corrections(evidence: Evidence, scales: ScaleCorrections) -> Iterator[Correction]:
-    """Yield corrections of a log that leave clearly less, in an arm that may exist."""
+def corrections(
+    evidence: Evidence, scales: ScaleCorrections, is_column: bool
+) -> Iterator[Correction]:
+    """Yield corrections of a log that leave clearly less, in an arm that may exist.
+
+    Those of several columns at once are looked for if it may be a mistake of columns.
+    """
     fitted = scales.fitted
     before = fitted.unexplained_share
-    for tried in chain(scales.each(), column_correction(fitted, evidence)):
+    of_columns = column_correction(fitted, evidence) if is_column else ()
+    for tried in chain(scales.each(), of_columns):
         after = tried.fit.unexplained_share
         is_less = after < CLEARLY_LESS * before or after < LITTLE < before
         is_turned_back = drives(fitted) and not drives(tried.fit)
