@@ -568,7 +568,9 @@ FAULTS = (
         of_plays,
         0.02,
         "degrees",
-        sizes=(0.0, 0.1),
+        # With less, friction that is not as the others say looks like it.
+        sizes=(0.005, 0.1),
+        is_of_any_log=False,
         is_sharp=True,
     ),
     Fault(
