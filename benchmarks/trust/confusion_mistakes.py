@@ -48,6 +48,8 @@ MORE_MASS = 1.0
 """Mass that a forearm carries beside its own [kg]."""
 LATE = 0.03
 """[s]"""
+LATE_JOINT = 0.02
+"""Time by which the torque of one joint is late, or that of all is early [s]."""
 Rows = NDArray[np.integer[Any]]
 """Numbers of rows of a log (m,)."""
 BACKLASH = np.radians(1.0)
@@ -146,7 +148,7 @@ def all_times(factor: float, scene: Scene) -> Scene:
 
 def joint_times(joint: int | None, factor: float, scene: Scene) -> Scene:
     """Return a log with the torque of one joint times a factor; None for one that gravity loads."""
-    joint = loaded_joint(scene) if joint is None else joint
+    joint = loaded_joint(scene) if joint is None else joint % scene.robot.n_joints
     return blame(scene.with_torque_times(at_joint(scene, joint, factor, 1.0)), joint)
 
 
@@ -222,17 +224,41 @@ def light_sign(scene: Scene) -> Scene:
 
 def both_signs(from_end: int, scene: Scene) -> Scene:
     """Return a log in which position and torque of one of the last joints have the wrong sign."""
-    joint = scene.robot.n_joints - from_end
+    return both_signs_of(scene.robot.n_joints - from_end, scene)
+
+
+def both_signs_of(joint: int, scene: Scene) -> Scene:
+    """Return a log in which position and torque of a joint have the wrong sign."""
     signs = at_joint(scene, joint, -1.0, 1.0)
     turned = with_positions(scene.with_torque_times(signs), signs * scene.log.q)
     return blame(turned, joint)
 
 
+def late_by(seconds: Array | float, scene: Scene) -> Scene:
+    """Return a log whose torques are late, by times (n,) or one for all [s]."""
+    time = scene.log.time
+    lags = np.broadcast_to(seconds, scene.robot.n_joints)
+    pairs = zip(scene.log.tau.T, lags)
+    tau = [np.interp(time - lag, time, column) for column, lag in pairs]
+    return with_torques(scene, np.stack(tau, axis=1))
+
+
 def late_by_30_ms(scene: Scene) -> Scene:
     """Return a log whose torques are 30 ms late."""
-    time = scene.log.time
-    tau = [np.interp(time - LATE, time, column) for column in scene.log.tau.T]
-    return with_torques(scene, np.stack(tau, axis=1))
+    return late_by(LATE, scene)
+
+
+def late_joint_by_20_ms(scene: Scene) -> Scene:
+    """Return a log in which the torque of a joint that gravity loads is 20 ms late."""
+    joint = loaded_joint(scene)
+    return blame(late_by(at_joint(scene, joint, LATE_JOINT, 0.0), scene), joint)
+
+
+def exchanged_wrists(scene: Scene) -> Scene:
+    """Return a log in which two wrist joints beside one another are exchanged in the torques."""
+    tau = scene.log.tau.copy()
+    tau[:, [-3, -2]] = tau[:, [-2, -3]]
+    return with_torques(scene, tau)
 
 
 def zero_column(scene: Scene) -> Scene:
@@ -261,9 +287,32 @@ def zero_off(degrees: float, scene: Scene) -> Scene:
     return blame(with_positions(scene, scene.log.q + offset), joint)
 
 
+def two_zeros_off(scene: Scene) -> Scene:
+    """Return a log in which the zeros of two joints that gravity loads are off by 15 degrees."""
+    weight = np.sqrt(np.mean(scene.still**2, axis=0))
+    offset = np.zeros(scene.robot.n_joints)
+    offset[np.argsort(-weight)[:2]] = np.radians((15.0, -15.0))
+    return with_positions(scene, scene.log.q + offset)
+
+
+def positions_times(joint: int | None, factor: float, scene: Scene) -> Scene:
+    """Return a log with the positions of one joint times a factor: its sign, or another gear's.
+
+    None stands for a joint that gravity loads.
+    """
+    joint = loaded_joint(scene) if joint is None else joint
+    factors = at_joint(scene, joint, factor, 1.0)
+    return blame(with_positions(scene, factors * scene.log.q), joint)
+
+
 def backlash(scene: Scene) -> Scene:
+    """Return a log of an arm in which the gear of a joint that gravity loads is loose."""
+    return backlash_of(loaded_joint(scene), scene)
+
+
+def backlash_of(joint: int, scene: Scene) -> Scene:
     """Return a log of an arm with a loose gear: the motor is ahead where its torque presses."""
-    joint = loaded_joint(scene)
+    joint = joint % scene.robot.n_joints
     pressed = scene.rigid[:, joint] / (0.05 * scene.usual_torque[joint])
     play = 0.5 * BACKLASH * np.tanh(pressed)
     q = scene.log.q + np.outer(play, at_joint(scene, joint, 1.0, 0.0))
@@ -698,6 +747,14 @@ TORQUE_MISTAKES = {
     "zero_column": Cause(zero_column, (("zero torque",),), NO_TORQUE),
     "denormal_torque": Cause(denormal_torque, (("zero torque",),), NO_TORQUE),
     "denormal_joint": Cause(denormal_joint, (("zero torque",),), NO_TORQUE),
+    "joint_twice": joint_cause(partial(joint_times, None, 2.0), *SCALE),
+    "wrist_times_0_7": joint_cause(partial(joint_times, -2, 0.7), *SCALE),
+    "last_times_1_5": joint_cause(partial(joint_times, -1, 1.5), *SCALE),
+    "base_signs": joint_cause(partial(both_signs_of, 0), "sign"),
+    "base_torque_sign": joint_cause(partial(joint_times, 0, -1.0), "sign"),
+    "exchanged_wrists": Cause(exchanged_wrists, (("order",),)),
+    "early_by_20_ms": Cause(partial(late_by, -LATE_JOINT), (("delay",),)),
+    "late_joint_by_20_ms": joint_cause(late_joint_by_20_ms, "delay"),
 }
 """Mistakes in the torque."""
 TORQUE_CLASSES = {
@@ -720,7 +777,14 @@ POSITION_MISTAKES = {
     "zero_3_degrees": joint_cause(partial(zero_off, 3.0), "zero"),
     "zero_10_degrees": joint_cause(partial(zero_off, 10.0), "zero"),
     "zero_90_degrees": joint_cause(partial(zero_off, 90.0), "zero"),
-    "backlash": Cause(backlash, (("backlash",),), r"backlash|\bslack\b|\bplay\b"),
+    "backlash": joint_cause(backlash, "backlash"),
+    "base_position_sign": joint_cause(partial(positions_times, 0, -1.0), "sign"),
+    "zero_45_degrees": joint_cause(partial(zero_off, 45.0), "zero"),
+    "zero_180_degrees": joint_cause(partial(zero_off, 180.0), "zero"),
+    "two_zeros_off": Cause(two_zeros_off, (("zero",),)),
+    "positions_half": joint_cause(partial(positions_times, None, 0.5), "angle-unit"),
+    "base_backlash": joint_cause(partial(backlash_of, 0), "backlash"),
+    "wrist_backlash": joint_cause(partial(backlash_of, -2), "backlash"),
 }
 """Mistakes of encoders and gears."""
 TIME_MISTAKES = {

@@ -12,13 +12,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.columns import OF_COLUMNS, Mistake, Reading, mistakes
+from robot_sysid.diagnosis.columns import (
+    OF_COLUMNS,
+    ZERO_STEP,
+    Mistake,
+    Reading,
+    is_torque_sign,
+    mistakes,
+    mistakes_of_light,
+    positions_of_joints,
+    zero_of,
+)
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.plausibility import fits
 from robot_sysid.dynamics.inverse_dynamics import (
@@ -30,11 +40,13 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.fit import Equations, Fit, equations_of, solve
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.terms import MOTORS
+from robot_sysid.estimate.rows import Rows, Sums
+from robot_sysid.estimate.terms import MOTORS, ArmTerms, Point, Term
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.records.messages import Level, with_error
+from robot_sysid.records.parameters import Parameter
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name, with_option_names
@@ -43,6 +55,15 @@ ROWS = 250
 """Rows by which readings are compared: they tell them apart, and a log has thousands."""
 LEAST_RESIDUAL = 0.01
 """Residual that does not count, as a share of all torque: a right log leaves as much."""
+FINE_RESIDUAL = 0.001
+"""The same where mistakes are taken one by one: a wrist without weight makes little torque. Of 14
+right logs none reads better with one; of 30 with a wrong sign or order of wrists all but two do."""
+KEPT = 40
+"""Readings of positions of which the sums are kept: 0.7 MB each, of an arm of seven joints."""
+ZERO_ROUNDS = 5
+"""Rounds in which the step around the best angle of a zero is halved, to a degree."""
+MOST_SIGNS = 7
+"""Joints of which all signs of torques are tried together, 128 ways."""
 FIRST_NOISE = 0.05
 """Noise that a search begins with, as a share of each joint's torque."""
 NOISE_ROUNDS = 2
@@ -50,6 +71,8 @@ NOISE_ROUNDS = 2
 joint that other joints' errors were left to."""
 FOLLOWED = 3
 """Likeliest first mistakes that are followed, as one that is wrong may fit as well alone."""
+LIKELY = 40
+"""Likeliest first mistakes that are tried beside others: four wrong signs are among them."""
 MOST_TOGETHER = 8
 """Largest number of mistakes that act together."""
 LEAST_OF_FIRST = 0.5
@@ -59,7 +82,8 @@ ALIKE = 1.0
 LEAST_NOISE = 1e-3
 """Least noise by which two fits are compared, as a share of all torque."""
 TURNED = 5.0
-"""Angle from which on a base is mounted otherwise; less is a tilt [degrees]."""
+"""Angle from which on a base is mounted otherwise, or a zero is a mistake of positions; less is a
+tilt, or a fault of the torque [degrees]."""
 MOUNTING_TILT = 15.0
 """Tilt that is allowed about one of the 26 directions: they are at most some 27 degrees from the
 true one, usually half as much [degrees]."""
@@ -108,6 +132,37 @@ def part_of_rows(fitted: Fit, count: int) -> tuple[tuple[FilteredRecording, ...]
     return tuple(recordings), every
 
 
+def recorded_torque(arm: ArmTerms) -> Term:
+    """Return a term whose columns, in every joint's rows, are all joints' recorded torques."""
+    names = [f"recorded torque of {name}" for name in arm.robot.joint_names]
+
+    def columns(rows: Rows, _: Point) -> Array:
+        """Return the torques (m, J, n) [N m]; zero where there is none."""
+        torque = np.nan_to_num(rows.recording.torque[rows.span])
+        return np.repeat(torque[:, None], len(arm.joints), axis=1)
+
+    return Term("", tuple(map(Parameter, names)), columns)
+
+
+def with_torques_of(sums: Sums, arm: ArmTerms, torque: Array) -> Sums:
+    """Return sums with columns of recorded torques as those of other torques (n, n) of them."""
+    change = torque - np.eye(len(torque))
+    if not np.any(change):
+        return sums
+    at = sums.at(recorded_torque(arm).names)
+    products = []
+    for joint, columns, own in zip(arm.indices, sums.columns, sums.products):
+        mix = np.zeros(len(sums.names) + 1)
+        mix[at] = change[joint]
+        mix[-1] = 1.0
+        mix = mix[columns]
+        turned = own.copy()
+        turned[..., -1] = turned[..., -1, :] = own @ mix
+        turned[..., -1, -1] = turned[..., -1, :] @ mix
+        products.append(turned)
+    return replace(sums, products=tuple(products))
+
+
 class ColumnSearch:
     """Compares readings of a log on a part of its rows.
 
@@ -121,22 +176,42 @@ class ColumnSearch:
         for key, term in fitted.arm.terms.items():
             if term.bodies or term.cause == MOTORS or key in question.friction:
                 needed.append(term)
-        self.arm = fitted.arm.of(needed)
-        self.terms = arm_question(self.arm, question, fitted.sums.rms_torque)
+        self.arm = fitted.arm.of([*needed, recorded_torque(fitted.arm)])
+        self.terms = arm_question(
+            fitted.arm.of(needed), question, fitted.sums.rms_torque
+        )
         self.recordings, _ = part_of_rows(fitted, ROWS)
+        self._kept: dict[tuple[bytes, ...], Sums] = {}
 
-    def score(self, found: Sequence[Mistake]) -> float:
-        """Return the log likelihood of the log without mistakes, but for a constant."""
+    def sums(self, reading: Reading) -> Sums:
+        """Return the sums of the log that is read otherwise.
+
+        Those of positions are kept, as torques that are read otherwise turn their last column only.
+        """
         arm = self.arm
-        reading = Reading.of(arm.robot.n_joints, found)
-        point = arm.start()
-        if reading.gravity is not None:
-            point = replace(point, gravity=reading.gravity)
-        # Likelihoods need no blocks.
-        sums = arm.sums([reading.apply(each) for each in self.recordings], point, False)
+        gravity = arm.start().gravity if reading.gravity is None else reading.gravity
+        key = tuple(
+            each.tobytes() for each in (reading.position, reading.zeros, gravity)
+        )
+        if key not in self._kept:
+            if len(self._kept) >= KEPT:
+                self._kept.clear()
+            as_recorded = replace(reading, torque=np.eye(len(reading.torque)))
+            logs = [as_recorded.apply(each) for each in self.recordings]
+            point = replace(arm.start(), gravity=gravity)
+            # Likelihoods need no blocks.
+            self._kept[key] = arm.sums(logs, point, False)
+        return with_torques_of(self._kept[key], arm, reading.torque)
+
+    def score(self, found: Sequence[Mistake], share: float = LEAST_RESIDUAL) -> float:
+        """Return the log likelihood of the log without mistakes, but for a constant.
+
+        Residuals below a ``share`` of all torque do not count.
+        """
+        sums = self.sums(Reading.of(self.arm.robot.n_joints, found))
         torque = sums.rms_torque
-        equations = equations_of(arm, sums, self.terms, {})
-        least = LEAST_RESIDUAL * np.sqrt(np.mean(torque**2))
+        equations = equations_of(self.arm, sums, self.terms, {})
+        least = share * np.sqrt(np.mean(torque**2))
         counts = sums.row_counts
         noise = np.maximum(FIRST_NOISE * torque, least)
         for _ in range(NOISE_ROUNDS):
@@ -150,18 +225,83 @@ class ColumnSearch:
             noise = np.maximum(np.sqrt(squares / counts), least)
         return likelihood(equations, values, counts, noise)
 
+    def one_by_one(
+        self, tried: Sequence[Mistake], evidence: Evidence, is_fitting: bool
+    ) -> list[Mistake]:
+        """Return mistakes that each gain alone, of joints that make little torque as well.
+
+        Several signs are taken at once where a log does not fit.
+        """
+        before = self.score([], FINE_RESIDUAL)
+        score, found = self._longer([], tried, FINE_RESIDUAL)[0]
+        if not is_fitting:
+            together, signs = self._signs(tried)
+            if together > max(score, before) + CLEAR * (len(signs) - 1):
+                score, found = together, signs
+        if score < before + CLEAR:
+            return []
+        while len(found) < MOST_TOGETHER:
+            evidence.advance()
+            after, longer = self._longer(found, tried, FINE_RESIDUAL)[0]
+            if after < score + CLEAR:
+                break
+            score, found = after, longer
+        return found
+
+    def position(self, joints: Sequence[int]) -> list[Mistake]:
+        """Return the zero or gear of one of some joints with which the log reads best; [] for none.
+
+        The angle of a zero is found to a degree.
+        """
+        n = self.arm.robot.n_joints
+
+        def score(mistake: Mistake) -> float:
+            """Return the log likelihood without a mistake."""
+            return self.score([mistake], FINE_RESIDUAL)
+
+        tried = list(positions_of_joints(self.arm.robot, joints))
+        if not tried:
+            return []
+        most, best = max(
+            ((score(each), each) for each in tried), key=lambda way: way[0]
+        )
+        step = ZERO_STEP if best.name is FaultName.ZERO else 0.0
+        joint = int(np.argmax(np.abs(best.reading.zeros)))
+        for _ in range(ZERO_ROUNDS if step else 0):
+            step *= 0.5
+            angle = best.reading.zeros[joint]
+            ways = [zero_of(n, joint, angle + side) for side in (-step, step)]
+            scored = [(most, best), *((score(each), each) for each in ways)]
+            most, best = max(scored, key=lambda way: way[0])
+        is_clear = most > self.score([], FINE_RESIDUAL) + CLEAR
+        is_small = step and np.max(np.abs(best.reading.zeros)) < np.radians(TURNED)
+        return [best] if is_clear and not is_small else []
+
+    def _signs(self, tried: Sequence[Mistake]) -> tuple[float, list[Mistake]]:
+        """Return the likeliest turned signs of torques, two at least, with their likelihood."""
+        turned = [each for each in tried if is_torque_sign(each)]
+        if len(turned) > MOST_SIGNS:
+            return -np.inf, []
+        counts = range(2, len(turned) + 1)
+        ways = chain.from_iterable(combinations(turned, count) for count in counts)
+        scored = [(self.score(way, FINE_RESIDUAL), [*way]) for way in ways]
+        return max(scored, default=(-np.inf, []), key=lambda way: way[0])
+
     def best_together(
         self, tried: Sequence[Mistake], evidence: Evidence
     ) -> list[Mistake]:
         """Return the mistakes that fit best together, one after the other; [] for none."""
         before = self.score([])
-        firsts = self._longer([], [*tried, *self._pairs(tried)])
+        pairs = [*self._pairs(tried)]
+        firsts = self._longer([], [*tried, *pairs])
+        are_pairs = {*map(id, pairs)}
+        likely = [way[0] for _, way in firsts if id(way[0]) not in are_pairs][:LIKELY]
         least = before + max(CLEAR, LEAST_OF_FIRST * (firsts[0][0] - before))
         ways = []
         for score, found in firsts[:FOLLOWED]:
             while score > least and len(found) < MOST_TOGETHER:
                 evidence.advance()
-                after, longer = self._longer(found, tried)[0]
+                after, longer = self._longer(found, likely)[0]
                 if after < score + CLEAR:
                     break
                 score = after
@@ -179,11 +319,14 @@ class ColumnSearch:
             yield Mistake(FaultName.ZERO, "", reading)
 
     def _longer(
-        self, found: list[Mistake], tried: Sequence[Mistake]
+        self,
+        found: list[Mistake],
+        tried: Sequence[Mistake],
+        share: float = LEAST_RESIDUAL,
     ) -> list[tuple[float, list[Mistake]]]:
         """Return (log likelihood, mistakes) with one more each, the likeliest first."""
         ways = [[*found, each] for each in tried]
-        scores = np.array([self.score(way) for way in ways])
+        scores = np.array([self.score(way, share) for way in ways])
         # Equally likely ones keep their order.
         order = np.argsort((np.max(scores) - scores) // ALIKE, kind="stable")
         return [(scores[k], ways[k]) for k in order.tolist()]
@@ -232,18 +375,56 @@ def refit(fitted: Fit, reading: Reading, **priors: float) -> Fit:
     return solve_question(robot, recordings, question, beside=fault_columns)
 
 
-def column_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
-    """Yield the correction of the mistakes that fit best together, if there are any.
+def single_correction(
+    fitted: Fit, evidence: Evidence, is_fitting: bool
+) -> Iterator[Correction]:
+    """Yield the correction of mistakes that each gain alone, if there are any.
 
-    They are the first ones with which the whole log fits.
+    A log that fits may have one at joints that make little torque, where zeros and units would be
+    no mistake of columns.
+    """
+    moving = moving_joints(fitted)
+    rows = mistakes_of_light if is_fitting else mistakes
+    tried = [*rows(fitted.arm.robot, moving)]
+    found = ColumnSearch(fitted).one_by_one(tried, evidence, is_fitting)
+    yield from correction_of(fitted, found, range(len(found), len(found) + 1))
+
+
+def position_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+    """Yield the correction of one joint's zero, by any angle, or gear, if it gains clearly.
+
+    A small error of a zero is a row of the faults of torque.
+    """
+    evidence.advance()
+    found = ColumnSearch(fitted).position(moving_joints(fitted))
+    yield from correction_of(fitted, found, range(len(found), len(found) + 1))
+
+
+def column_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+    """Yield the correction of the mistakes that fit best together, if there are any."""
+    tried = [*mistakes(fitted.arm.robot, moving_joints(fitted))]
+    found = ColumnSearch(fitted).best_together(tried, evidence)
+    yield from correction_of(fitted, found, range(1, len(found) + 1))
+
+
+def moving_joints(fitted: Fit) -> list[int]:
+    """Return the numbers of the joints that move in a log."""
+    moves = np.any(fitted.sums.counts, axis=0)
+    moving: list[int] = fitted.arm.indices[moves].tolist()
+    return moving
+
+
+def correction_of(
+    fitted: Fit, found: Sequence[Mistake], numbers: Sequence[int]
+) -> Iterator[Correction]:
+    """Yield the correction of the first ones of some mistakes, if there are any.
+
+    They are as many as the least of some ``numbers`` with which the whole log fits, else the last.
     """
     robot = fitted.arm.robot
-    moves = np.any(fitted.sums.counts, axis=0)
-    moving = fitted.arm.indices[moves].tolist()
-    found = ColumnSearch(fitted).best_together([*mistakes(robot, moving)], evidence)
     after = fitted
     findings: list[Finding] = []
-    for number in range(1, len(found) + 1):
+    for number in numbers if found else ():
         reading = Reading.of(robot.n_joints, found[:number])
         findings = [*column_findings(robot, found[:number], reading)]
         if reading.gravity is None:

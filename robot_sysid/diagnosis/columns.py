@@ -27,6 +27,11 @@ OF_COLUMNS = (FaultName.SIGN, FaultName.ORDER, FaultName.ANGLE_UNIT)
 """Mistakes whose words are their own, and which other columns put right."""
 _TURNS = np.radians((90.0, -90.0, 180.0))
 """Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
+ZERO_STEP = np.radians(30.0)
+"""Step of the angles of a zero that are tried first: one that is off by half a step reads better
+with it than with none."""
+_GEARS = (0.5, 2.0)
+"""Factors on the positions of a joint whose gear is another one, or is counted twice."""
 _RADIANS_PER_DEGREE = np.radians(1.0)
 
 
@@ -124,6 +129,22 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     yield from mountings(robot)
 
 
+def mistakes_of_light(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield those that a log may have which fits all the same: signs, as of a wrist without weight.
+
+    Exchanged wrists would pass for friction that no term has: of a KUKA LWR4+, they did.
+    """
+    for each in _QUANTITIES:
+        yield from signs(robot, moving, each)
+
+
+def is_torque_sign(mistake: Mistake) -> bool:
+    """Return whether a mistake is the sign of one joint's torque."""
+    turned = np.diag(mistake.reading.torque) < 0.0
+    is_position = np.any(np.diag(mistake.reading.position) < 0.0)
+    return bool(np.count_nonzero(turned) == 1 and not is_position)
+
+
 @dataclass(frozen=True)
 class _Quantities:
     """Quantities whose columns a mistake changes: their names, as subject and verb, as scope."""
@@ -216,11 +237,33 @@ def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
 
 def zeros(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     """Yield zeros of each joint that are turned by right angles."""
-    none = Reading.of(robot.n_joints)
     for joint, angle in product(moving, _TURNS.tolist()):
         if not robot.is_slide[joint]:
-            turned = angle * np.eye(robot.n_joints)[joint]
-            yield Mistake(FaultName.ZERO, "", replace(none, zeros=turned))
+            yield zero_of(robot.n_joints, joint, angle)
+
+
+def zero_of(n: int, joint: int, angle: float) -> Mistake:
+    """Return the zero of one of n joints that an angle puts right [rad]."""
+    turned = angle * np.eye(n)[joint]
+    return Mistake(FaultName.ZERO, "", replace(Reading.of(n), zeros=turned))
+
+
+def positions_of_joints(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield zeros that are off by any angle, in steps, and gears of another ratio."""
+    for joint in moving:
+        if not robot.is_slide[joint]:
+            steps = int(np.rint(np.pi / ZERO_STEP))
+            for number in (*range(1 - steps, 0), *range(1, steps + 1)):
+                yield zero_of(robot.n_joints, joint, number * ZERO_STEP)
+        for factor in _GEARS:
+            scale = np.ones(robot.n_joints)
+            scale[joint] = factor
+            yield Mistake(
+                FaultName.ANGLE_UNIT,
+                f"the position of joint {robot.joint_names[joint]} is {1.0 / factor:g} times what "
+                "it should be, as of a gear",
+                replace(Reading.of(robot.n_joints), position=np.diag(scale)),
+            )
 
 
 def mountings(robot: RobotModel) -> Iterator[Mistake]:

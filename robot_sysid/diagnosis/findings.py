@@ -12,9 +12,16 @@ from collections.abc import Iterator
 from itertools import chain
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.column_search import Correction, Evidence, column_correction
+from robot_sysid.diagnosis.column_search import (
+    Correction,
+    Evidence,
+    column_correction,
+    position_correction,
+    single_correction,
+)
 from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.misfits import (
+    delay_findings,
     external_findings,
     friction_findings,
     misfit,
@@ -32,7 +39,7 @@ from robot_sysid.diagnosis.plausibility import (
 )
 from robot_sysid.diagnosis.scales import ScaleCorrections, odd_unit
 from robot_sysid.diagnosis.scores import Score
-from robot_sysid.diagnosis.search import Search, name_faults, search_faults
+from robot_sysid.diagnosis.search import OF_SCALES, Search, name_faults, search_faults
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.records.fault_names import FaultName
@@ -87,15 +94,17 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     is_experiment = is_of_single_joints(fitted)
     scales = ScaleCorrections(fitted, evidence)
     search = search_faults(Correction((), 0.0, fitted), evidence, scales)
-    # Links that may be off hide much of a direction that was stated the wrong way round.
-    is_fitting = (
-        fits(fitted)
-        and not any(map(is_like_gravity, search.winners))
-        and fitted.arm.robot.gravity is None
-    )
     # An arm that is compared with its model has played the motion: its columns are those of its
     # motors, and a sign or an order would pass for what has happened to it.
     is_of_model = fitted.question.differing is not None
+    if not (is_experiment or is_of_model):
+        search = search_or_single(search, evidence, scales)
+    # Links that may be off hide much of a direction that was stated the wrong way round.
+    is_fitting = (
+        fits(search.start.fit)
+        and not any(map(is_like_gravity, search.winners))
+        and fitted.arm.robot.gravity is None
+    )
     if not (is_experiment or is_fitting or is_of_model):
         search = search_or_corrected(search, evidence, scales)
     right = search.start.fit
@@ -110,6 +119,8 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if not search.explains:
         return unexplained_findings(fitted, search), right
     named += name_faults(search.rounds[:MOST_NAMED])
+    if not any(each.about is FaultName.DELAY for each in named):
+        named += delay_findings(right)
     unmeasured = [each for each in named if each.about in UNMEASURED]
     if unmeasured:
         return unmeasured, right
@@ -129,6 +140,37 @@ def is_like_gravity(score: Score) -> bool:
     return is_of_arm and is_harmful and score.name in LIKE_GRAVITY
 
 
+def search_or_single(
+    search: Search, evidence: Evidence, scales: ScaleCorrections
+) -> Search:
+    """Return a search in a log, or the one in a log with mistakes of single joints put right.
+
+    They may hide in a log that fits. Where the first search blames scales only, one joint that all
+    others contradict is simpler.
+    """
+    fitted = scales.fitted
+    tried = [*single_correction(fitted, evidence, fits(fitted))]
+    if not any(fits(each.fit) for each in tried):
+        tried += [] if scales.alone is None else [scales.alone]
+        if search.winners or not fits(fitted) or scales.scales.is_odd:
+            tried += position_correction(fitted, evidence)
+    for each in tried:
+        # Columns of another arm's log fit its model no better in any order.
+        is_right = is_plausible(each.fit) and not is_sibling(each.fit)
+        if each.gain < CLEAR or not is_right:
+            continue
+        corrected = search_faults(each, evidence, scales)
+        blamed = {score.name for score in search.winners}
+        blamed |= {finding.about for finding in search.start.findings}
+        is_simpler = each is scales.alone and blamed and blamed <= {*OF_SCALES}
+        if corrected.explains and is_simpler:
+            search = corrected
+        else:
+            searches = search, corrected
+            search = max(searches, key=lambda each: (each.explains, each.gain))
+    return search
+
+
 def search_or_corrected(
     search: Search, evidence: Evidence, scales: ScaleCorrections
 ) -> Search:
@@ -137,7 +179,9 @@ def search_or_corrected(
     Gains are compared, so that corrections are of the log as it was recorded, which ``scales`` has,
     also where the search itself has corrected its torque scales.
     """
-    best = sorted(corrections(evidence, scales), key=lambda each: -each.gain)
+    # Of a log that does not fit, each mistake of columns was tried by itself.
+    is_column = fits(scales.fitted) or not search.explains
+    best = sorted(corrections(evidence, scales, is_column), key=lambda c: -c.gain)
     # Whatever explains torques in another unit, they are not right as they are.
     is_unit = is_foreign(scales.fitted)
     searches = [search_faults(each, evidence, scales) for each in best[:1]]
@@ -145,11 +189,17 @@ def search_or_corrected(
     return max(searches, key=lambda each: (each.explains, is_unit or each.gain))
 
 
-def corrections(evidence: Evidence, scales: ScaleCorrections) -> Iterator[Correction]:
-    """Yield corrections of a log that leave clearly less, in an arm that may exist."""
+def corrections(
+    evidence: Evidence, scales: ScaleCorrections, is_column: bool
+) -> Iterator[Correction]:
+    """Yield corrections of a log that leave clearly less, in an arm that may exist.
+
+    Those of several columns at once are looked for if it may be a mistake of columns.
+    """
     fitted = scales.fitted
     before = fitted.unexplained_share
-    for tried in chain(scales.each(), column_correction(fitted, evidence)):
+    of_columns = column_correction(fitted, evidence) if is_column else ()
+    for tried in chain(scales.each(), of_columns):
         after = tried.fit.unexplained_share
         is_less = after < CLEARLY_LESS * before or after < LITTLE < before
         is_turned_back = drives(fitted) and not drives(tried.fit)

@@ -30,17 +30,23 @@ from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.choose import answer_of, odd_link
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.questions import PER_CENT
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import INTERVAL, UNEXPLAINED
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
+from robot_sysid.records.parameters import DELAY
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name
 
 RIGHT_MODEL = "check that the model is of this arm, with all that is fixed to its links"
 MEASURED = "record the measured joint torque"
+CAUSES_IN_FILE = (LAST_LINK, LINKS, FRICTION)
+"""Causes of torque of which a model file has numbers."""
 OTHER_ARM = 0.3
 """Share of all torque that is unexplained from which on it is another arm's."""
 FAR_OFF = 0.4
@@ -80,6 +86,43 @@ def time_findings(fitted: Fit, evidence: Evidence) -> Iterator[Finding]:
             "record the controller's own time stamps, or scale these with a line in "
             f"{option_name('columns', 'FILE')}: time = {1.0 / (1.0 + share):.3g} * TITLE",
         )
+
+
+def delay_findings(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that torque is later than position by more than it usually is.
+
+    Every fit estimates it. It is a doubt where friction, which turns round at other instants then,
+    or links come out otherwise with torques that are moved back.
+    """
+    options = fitted.question.options
+    name = DELAY.key
+    if fitted.question.differing is not None or name not in fitted.names:
+        return
+    value, error = fitted.by_name[name], fitted.error_of(name)
+    if abs(value) < SURE * max(error, 1e-3 * options.priors.delay):
+        return
+    moved = [earlier(recording, value) for recording in fitted.recordings]
+    after = solve_question(fitted.arm.robot, moved, fitted.question)
+    held = [t for t in fitted.equations.terms if t.cause in CAUSES_IN_FILE]
+    names = {name for term in held for name in term.names}
+    written = sorted(names & {*after.names})
+    change = [after.by_name[each] - fitted.by_name[each] for each in written]
+    errors = [fitted.error_of(each) for each in written]
+    is_harmful = np.any(np.abs(change) > INTERVAL * np.array(errors))
+    yield Finding(
+        Level.DOUBTS if is_harmful and not fitted.question.loaded else Level.SAYS,
+        FaultName.DELAY,
+        f"torque of all joints is {with_error(1e3 * abs(value), 1e3 * error, 'ms')} "
+        f"{'later' if value > 0.0 else 'earlier'} than position",
+        "record torques and positions of all joints at the same instant",
+    )
+
+
+def earlier(recording: FilteredRecording, delay: float) -> FilteredRecording:
+    """Return a recording with torques that are moved back by a delay [s]."""
+    time = recording.time
+    tau = [np.interp(time + delay, time, column) for column in recording.tau.T]
+    return recording.using(recording.is_used, tau=np.stack(tau, axis=1))
 
 
 def weighed_time(fitted: Fit) -> float:

@@ -100,6 +100,11 @@ SPREAD = 0.4
 currents of one arm differ by a factor of two."""
 COMMON = 1.35
 """Ratio of the largest to the least scale of joints below which they have one common cause."""
+ALONE = 1.2
+"""Torque scale of one joint over that of the others, or its inverse, from which on it is named by
+itself: links that are 10 to 20 % off make 1.1 of it, as every joint carries those behind it."""
+LEAST_OTHERS = 2
+"""Joints with a scale that have to agree before one other joint is blamed."""
 SENSOR = 1.6
 """Scale, or its inverse, above which it is no sensor's."""
 OPPOSING = 0.5
@@ -174,6 +179,35 @@ class TorqueScales:
         covariance = self.covariance[np.ix_(self.are_sure, self.are_sure)]
         apart = np.eye(len(covariance)) - 1.0 / len(covariance)
         return np.sqrt(np.diag(apart @ covariance @ apart))
+
+    @cached_property
+    def alone(self) -> tuple[int, float, float] | None:
+        """(Joint, its scale over the others', relative error), where it alone is clearly off.
+
+        The others agree, whatever they have in common: links that are off, or all torques.
+        """
+        size = np.log(np.abs(self.values))
+        known = np.flatnonzero(self.are_sure)
+        if len(known) < LEAST_OTHERS or np.any(self.values[known] < 0.0):
+            return None
+        weights = np.zeros(len(size))
+        weights[known] = self.own_errors**-2.0
+        clear: list[tuple[float, int, float, float]] = []
+        for joint in np.flatnonzero(self.is_settled).tolist():
+            others = known[known != joint]
+            if len(others) < LEAST_OTHERS or np.ptp(size[others]) >= np.log(COMMON):
+                continue
+            apart = np.eye(len(size))[joint]
+            apart[others] -= weights[others] / np.sum(weights[others])
+            error = float(np.sqrt(apart @ self.covariance @ apart))
+            ratio = float(apart @ size)
+            is_clear = abs(ratio) >= max(np.log(ALONE), SURE * error)
+            if is_clear and abs(ratio) < np.log(OTHER_UNIT):
+                clear.append((abs(ratio), joint, ratio, error))
+        if not clear:
+            return None
+        _, joint, ratio, error = max(clear)
+        return joint, float(np.exp(ratio)), error
 
     @cached_property
     def common(self) -> tuple[float, float]:
@@ -326,10 +360,26 @@ class ScaleCorrections:
         return Correction((finding,), gain_between(fitted, after, factors), after)
 
     @cached_property
+    def alone(self) -> Correction | None:
+        """The correction of the torque of one joint, where it alone is off; else None."""
+        fitted, alone = self.fitted, self.scales.alone
+        if alone is None:
+            return None
+        joint, scale, error = alone
+        factors = np.ones(len(self.scales.values))
+        factors[joint] = 1.0 / scale
+        after = refit(fitted, torque_reading(fitted.arm, factors))
+        # Every joint was tried, and the scale fits the data instead of being one.
+        penalty = np.log(len(factors) * max(SPREAD / error, 1.0))
+        gain = gain_between(fitted, after, factors) - penalty
+        finding = alone_finding(fitted, joint, scale, error, self.evidence)
+        return Correction((finding,), float(gain), after)
+
+    @cached_property
     def own(self) -> Correction | None:
         """The correction of torques by scales of one per joint; None where joints have no such."""
         fitted, scales = self.fitted, self.scales
-        if not (scales.are_of_links and scales.differ):
+        if self.alone is not None or not (scales.are_of_links and scales.differ):
             return None
         values = scales.known_values
         after = refit(fitted, torque_reading(fitted.arm, 1.0 / values))
@@ -341,7 +391,7 @@ class ScaleCorrections:
         return Correction((finding,), float(gain), after)
 
     def each(self) -> Iterator[Correction]:
-        """Yield the corrections by one scale of all joints, where it is odd, and by one of each."""
+        """Yield the corrections by one scale of all joints, where it is odd, and by their own."""
         if self.scales.is_odd:
             yield self.common
         if self.own is not None:
@@ -403,6 +453,26 @@ def torque_reading(arm: ArmTerms, factors: Array) -> Reading:
     torque = np.ones(arm.robot.n_joints)
     torque[arm.indices] = factors
     return Reading.with_torque_times(torque)
+
+
+def alone_finding(
+    fitted: Fit, joint: int, scale: float, error: float, evidence: Evidence
+) -> Finding:
+    """Return the finding on the torque of one joint that is a factor times what it should be.
+
+    Links are the same for all joints before them, so that they cannot be what is wrong.
+    """
+    name = fitted.arm.joints[joint]
+    number = with_error(scale, scale * error)
+    values = np.ones(fitted.arm.robot.n_joints)
+    values[fitted.arm.indices[joint]] = scale
+    return Finding(
+        Level.DOUBTS if abs(np.log(scale)) <= np.log(SENSOR) else Level.REFUSES,
+        FaultName.TORQUE_SCALE,
+        f"torque of joint {name} reads {number} times what those of the other joints say",
+        "check the joint's torque constant, gear ratio or sensor, or divide its torque",
+        (torque_scale(values * evidence.divided),),
+    )
 
 
 def own_finding(

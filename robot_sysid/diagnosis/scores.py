@@ -25,6 +25,7 @@ from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import (
     LAST_LINK,
+    LINKS,
     PAYLOAD_NAMES,
     Point,
     Term,
@@ -141,9 +142,24 @@ class Score:
         least = HARMFUL_SHAPE if explanation.is_shape else UNEXPLAINED
         # An arm that is compared with its model is asked for no link: only its torques count.
         is_of_link = not explanation.is_shape and self.fitted.question.differing is None
-        moves_links = is_of_link and bool(np.any(change > self.errors))
+        moves_links = is_of_link and (bool(np.any(change > self.errors)) or self.spoils)
         is_harmful = self.share > least or moves_links
         return explanation.fault.level if is_harmful else Level.SAYS
+
+    @property
+    def spoils(self) -> bool:
+        """Whether links before the last, which the file holds, are wrong without it.
+
+        What a payload is asked for, an empty and a loaded log have in common.
+        """
+        fitted = self.fitted
+        of_links = [
+            span for term, span in fitted.equations.spans if term.cause == LINKS
+        ]
+        if not of_links or fitted.question.loaded:
+            return False
+        change = np.abs(self.offer.change[of_links[0]])
+        return bool(np.any(change > INTERVAL * fitted.errors[of_links[0]]))
 
     @property
     def is_reportable(self) -> bool:
@@ -223,6 +239,8 @@ def leaves_noise(explanation: Explanation, offer: Offer, white: Offers) -> bool:
     """Return whether what an explanation takes away is torque of a cause, and not noise."""
     fitted = white.fitted
     total, slow = white.slow_gain(offer)
+    if explanation.fault.is_sharp:
+        slow = total
     # Links that a joint's own shape relieves are no evidence for it. Nor is what all logs share
     # evidence for what differs between empty and loaded ones.
     is_evidence = not (explanation.is_shape or fitted.question.loaded)

@@ -53,6 +53,22 @@ WRONG = {
     "weight alone": (lambda truth: noisy(truth.still), {"computed"}),
     "all signs": (lambda truth: turned(truth, range(truth.robot.n_joints)), {"sign"}),
     "three signs": (lambda truth: turned(truth, [1, 2, 4]), {"sign"}),
+    "both signs of a wrist": (
+        lambda truth: {
+            **turned(truth, [4]),
+            "q": np.where(np.arange(truth.robot.n_joints) == 4, -1.0, 1.0)
+            * truth.log.q,
+            "qd": None,
+        },
+        {"sign"},
+    ),
+    "a base that reads half": (
+        lambda truth: {
+            "tau": np.where(np.arange(truth.robot.n_joints) == 0, 0.5, 1.0)
+            * truth.log.tau
+        },
+        {"torque-scale"},
+    ),
     "two zeros": (with_zeros, {"zero"}),
     "drive side": (
         lambda truth: noisy(truth.log.tau / 101.0),
