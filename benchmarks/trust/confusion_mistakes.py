@@ -27,8 +27,8 @@ from benchmarks.trust.confusion_causes import (
     torque_of_payload,
     turned_signs,
 )
-from benchmarks.trust.right_logs import one_at_a_time, sampled
 from benchmarks.trust.wrong_logs import carrying_joint
+from rigs.arms.motions import one_at_a_time, sampled
 from rigs.arms.wrong_arms import PRESLIDING, WrongArm, noise_samples
 from rigs.files.urdf import urdf_of
 from robot_sysid import spatial
