@@ -1,11 +1,13 @@
 """What right logs are accused of: motions as people record them, of arms as they are.
 
     python -m benchmarks.trust.right_logs MODELS_FOLDER [--arms ur5e ...] [--motions sines ...]
-        [--seeds 2] [--deviations real exact]
+        [--seeds 2] [--deviations real exact] [--answers]
 
 Each log is of another arm, drawn as in ``benchmarks.trust.real_arms``, and is looked at by the
-command ``log``. A log of several parts, one joint driven in each, is given to ``identify``. Printed
-are the logs of which something is said, and per motion how many are refused, doubted, or noted.
+command ``log``. Beside the motions of this module, there are the right logs under odd conditions of
+``benchmarks.trust.confusion_mistakes``. Printed are the logs of which something is said, and per
+motion how many are refused, doubted, or noted. With ``--answers``, logs are given to ``identify``
+as well: how many are Usable, and how many of the numbers lie within 1.96 of their stated errors.
 """
 
 from __future__ import annotations
@@ -15,10 +17,23 @@ import sys
 import tempfile
 import warnings
 from collections import Counter
+from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
-from benchmarks.trust.answers import bare_model_text, run_command, write_log
-from benchmarks.trust.real_arms import SENSOR_ARMS, arms_parser
+import numpy as np
+
+from benchmarks.trust.answers import (
+    bare_model_text,
+    identify_logs,
+    model_text,
+    run_command,
+    write_log,
+)
+from benchmarks.trust.confusion_causes import draw_scene
+from benchmarks.trust.confusion_mistakes import RIGHT_LOGS
+from benchmarks.trust.real_arms import SENSOR_ARMS, arms_parser, errors_of
 from rigs.arms.motions import (
     Move,
     on_limit,
@@ -28,7 +43,8 @@ from rigs.arms.motions import (
     sines,
     slow,
 )
-from rigs.arms.wrong_arms import ARMS, RATE, draw_arm
+from rigs.arms.wrong_arms import ARMS, RATE, Truth, draw_arm
+from rigs.files.params import rows
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording
 
@@ -52,68 +68,116 @@ MOTIONS: dict[str, tuple[Move, float, float]] = {
     "30_hz": (planned, 20.0, 0.04),
 }
 """Motion to its function, its duration [s] and the share of friction in the torque."""
+LOG_DURATION = 20.0
+"""Duration of a log under odd conditions that has none of its own [s]."""
 
 
-def findings_of(
-    arm_name: str, motion: str, deviation: str, seed: int, models: Path, folder: Path
-) -> list[dict[str, str]]:
-    """Return what the command ``log`` says of a right log."""
-    path = models / ALL_ARMS[arm_name]
-    robot = load_robot_model(path)
+def right_log(
+    path: Path, arm_name: str, motion: str, deviation: str, seed: int
+) -> tuple[Truth, str]:
+    """Return a right log, and the text of the model that it is looked at with."""
+    if motion in RIGHT_LOGS:
+        cause = RIGHT_LOGS[motion]
+        duration = cause.duration or LOG_DURATION
+        scene = cause.spoil(draw_scene(path, arm_name, deviation, duration, seed))
+        text = bare_model_text(path)
+        return scene, text if scene.edit is None else model_text(path, scene.edit)
     move, duration, friction = MOTIONS[motion]
+    robot = load_robot_model(path)
     has_sensors = arm_name in SENSOR_ARMS
-    arm = draw_arm(
+    truth = draw_arm(
         robot, deviation, has_sensors, duration, seed % 2 == 0, seed, move, friction
     )
-    log = arm.log
     if motion == "30_hz":
         step = round(RATE / 30.0)
+        log = truth.log
         log = Recording(log.time[::step], log.q[::step], None, log.tau[::step])
-    model = folder / f"model_{arm_name}.xml"
-    if not model.exists():
-        model.write_text(bare_model_text(path))
-    write_log(folder / "log.csv", robot.joint_names, log)
-    code, output, messages = run_command("log", folder / "log.csv", model, "--json")
+        truth = replace(truth, log=log)
+    return truth, bare_model_text(path)
+
+
+def findings_of(log: Path, model: Path) -> list[dict[str, str]]:
+    """Return what the command ``log`` says of a log."""
+    code, output, messages = run_command("log", log, model, "--json")
     if output.startswith("{"):
         return list(json.loads(output)["findings"])
     return [{"level": "refuses", "about": f"error {code}", "text": messages}]
 
 
+@dataclass
+class Answers:
+    """What ``identify`` answers to logs.
+
+    Attributes:
+        count, refused, usable: numbers of logs.
+        offs: numbers' errors over their stated ones.
+    """
+
+    count: int = 0
+    refused: int = 0
+    usable: int = 0
+    offs: list[float] = field(default_factory=list)
+
+    def add(self, truth: Truth, content: dict[str, Any] | None) -> None:
+        """Count an answer, the content of params.json; None where the log is refused."""
+        self.count += 1
+        if content is None:
+            self.refused += 1
+            return
+        self.usable += content["valid"]["trustworthy"]
+        errors = errors_of(truth, rows(content), content["curves"])
+        self.offs += [
+            off / stated
+            for _, off, stated, _ in errors
+            if np.isfinite(stated) and stated > 0.0
+        ]
+
+    def __str__(self) -> str:
+        """Return them in words."""
+        within = 100.0 * np.mean(np.abs(self.offs) < 1.96) if self.offs else np.nan
+        return (
+            f"refused {self.refused}, usable {self.usable} of {self.count}; {within:.1f} % of "
+            f"{len(self.offs)} numbers within 1.96 stated errors"
+        )
+
+
 def main() -> int:
     """Print the table."""
     parser = arms_parser(__doc__, ALL_ARMS, ALL_ARMS)
-    parser.add_argument(
-        "--motions", nargs="+", default=list(MOTIONS), choices=list(MOTIONS)
-    )
+    motions = [*MOTIONS, *RIGHT_LOGS]
+    parser.add_argument("--motions", nargs="+", default=motions, choices=motions)
     parser.add_argument("--deviations", nargs="+", default=["real", "exact"])
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--answers", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     seeds = range(options.first_seed, options.first_seed + options.seeds)
+    cases = [*product(options.arms, options.deviations, seeds)]
     with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        log = folder / "log.csv"
+        model = folder / "model.xml"
         for motion in options.motions:
             counts: Counter[str] = Counter()
-            total = 0
-            for arm_name in options.arms:
-                for deviation in options.deviations:
-                    for seed in seeds:
-                        found = findings_of(
-                            arm_name,
-                            motion,
-                            deviation,
-                            seed,
-                            options.models,
-                            Path(name),
-                        )
-                        total += 1
-                        counts.update({f["level"] for f in found})
-                        for finding in found:
-                            text = finding["text"].replace("\n", " ")[:150]
-                            print(
-                                f"  {arm_name} {deviation} {seed} {finding['level']}: "
-                                f"{finding['about']}: {text}"
-                            )
-            print(f"{motion:<16} {total} logs: {dict(counts)}", flush=True)
+            answers = Answers()
+            for arm_name, deviation, seed in cases:
+                path = options.models / ALL_ARMS[arm_name]
+                truth, text = right_log(path, arm_name, motion, deviation, seed)
+                model.write_text(text)
+                write_log(log, truth.robot.joint_names, truth.log)
+                found = findings_of(log, model)
+                counts.update({f["level"] for f in found})
+                for finding in found:
+                    text = finding["text"].replace("\n", " ")[:150]
+                    print(
+                        f"  {arm_name} {deviation} {seed} {finding['level']}: "
+                        f"{finding['about']}: {text}"
+                    )
+                if options.answers:
+                    content, _ = identify_logs(folder, model, [log])
+                    answers.add(truth, content)
+            line = f"{motion:<18} {len(cases)} logs: {dict(counts)}"
+            print(f"{line} | {answers}" if options.answers else line, flush=True)
     return 0
 
 

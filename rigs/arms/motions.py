@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -99,3 +99,37 @@ def on_limit(plan: MotionPlan, rng: np.random.Generator) -> Motion:
     q[lies, joint] = limit
     qd[lies, joint] = qdd[lies, joint] = 0.0
     return Motion(motion.time, q, qd, qdd)
+
+
+def resting(first: float, last: float, plan: MotionPlan) -> Motion:
+    """Return the excitation with a rest from one share of the time to another one.
+
+    It comes to rest and goes on within a tenth of the time.
+    """
+    time = np.arange(round(RATE * plan.duration)) / RATE
+    share = time / plan.duration
+    stops = smooth_step((share - first) / 0.1)
+    goes_on = smooth_step((share - last) / 0.1)
+    pace = 1.0 - stops + goes_on
+    travelled = np.cumsum(pace) / RATE
+    motion = sampled(time, plan.evaluate(np.minimum(travelled, plan.duration)).q)
+    moves = pace[:, None] > 0.0
+    return Motion(time, motion.q, moves * motion.qd, moves * motion.qdd)
+
+
+def smooth_step(share: Array) -> Array:
+    """Return numbers that rise from zero to one between shares zero and one, with rest at both."""
+    s = np.clip(share, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+
+
+def of_joints(joints: Sequence[int], motion: Motion, size: float = 1.0) -> Motion:
+    """Return a motion of some joints alone, by a share of their way; the others stand."""
+    moves = np.isin(np.arange(motion.q.shape[1]), joints) * size
+    middle = np.mean(motion.q, axis=0)
+    return Motion(
+        motion.time,
+        middle + moves * (motion.q - middle),
+        moves * motion.qd,
+        moves * motion.qdd,
+    )

@@ -85,7 +85,7 @@ def test_right_logs_are_accused_of_nothing(truth):
 
 @pytest.mark.parametrize("seed", [7, 8])
 def test_no_possible_arm_fits_a_joint_at_a_time_better_than_the_estimate(seed):
-    """The true one is possible: rotors that are held at zero in vain made it four times likelier."""
+    """The true one is possible, and is likelier than one whose rotors are held at zero in vain."""
     robot = load_robot_model(MODELS / ARMS["ur5e"])
     truth = draw_arm(robot, "real", False, 30.0, False, seed, one_at_a_time)
     fitted = judged(robot, truth.log).fit
