@@ -33,6 +33,7 @@ from robot_sysid.estimate.rows import Sums, indices_of, row_chunks
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
+    LAST_LINK,
     PAYLOAD,
     PAYLOAD_NAMES,
     SCALES,
@@ -40,7 +41,7 @@ from robot_sysid.estimate.terms import (
     Point,
     Term,
 )
-from robot_sysid.records import Array
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
@@ -708,6 +709,9 @@ class Fit(Problem):
         """Return the point for the next linearisation, at this estimate."""
         values = self.by_name
         links = self.thetas
+        # What a sensor's scale multiplies is no inertia that only noise makes.
+        settled = settled_values(self)
+        links[-1] = [settled[name] for name in self.arm.terms[LAST_LINK].names]
         thetas = self.arm.robot.thetas
         thetas[-1] = links[-1]
         payload = self.point.payload
@@ -731,6 +735,64 @@ class Fit(Problem):
         """Return rows (K of all recordings, ...) as those of each recording."""
         ends = np.cumsum([len(recording) for recording in self.recordings])
         return np.split(rows, ends[:-1])
+
+
+def last_link_scale(robot: RobotModel) -> Array:
+    """Return how far off the last link (10,) may be, of which nothing is known: as a link is large.
+
+    That is the model's own, or a usual one of the arm: what is bolted to a flange of 0.2 kg may
+    weigh as much as any other link, but not a hundred times that.
+    """
+    masses = robot.thetas[:, 0]
+    length = robot.length / robot.n_joints
+    usual = spatial.parameter_scale(float(np.mean(masses[masses > 0.0])), length)
+    return np.maximum(robot.prior.scale, usual)
+
+
+def settled_values(fitted: Fit) -> dict[str, float]:
+    """Return the names of all parameters to their values, the last link kept near the model's.
+
+    It is at most as far off as nothing known of it allows (``last_link_scale``): a log in which the
+    last joint stands still lets its inertia free, and noise alone has made it 200 kg m^2.
+    """
+    values = dict(fitted.by_name)
+    at, wide, inverse = _settled(fitted)
+    if len(at):
+        term = fitted.arm.terms[LAST_LINK]
+        pull = inverse[:, at] @ (wide * (term.reference - fitted.values[at]))
+        values.update(zip(fitted.names, (fitted.values + pull).tolist()))
+    return values
+
+
+def settled_errors(fitted: Fit) -> dict[str, float]:
+    """Return the names of estimated parameters to their errors beside a last link that exists.
+
+    It is at most as far off the model's as in ``settled_values``.
+    """
+    at, _, inverse = _settled(fitted)
+    errors = fitted.errors
+    if len(at):
+        formal = np.sqrt(np.diag(inverse))
+        raised = np.where(fitted.is_hidden, 1.0, errors)
+        raised /= np.where(fitted.is_hidden, 1.0, np.sqrt(np.diag(fitted.inverse)))
+        errors = raised * formal
+    return dict(zip(fitted.names, errors.tolist()))
+
+
+def _settled(fitted: Fit) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return what keeps the last link near the model's, in a fit that lets it free.
+
+    It is (indices (10,) of its parameters, their precisions (10,), covariance (k, k) with these);
+    without indices where its question keeps it near the model's already.
+    """
+    terms = {term.key: term for term in fitted.equations.terms}
+    if LAST_LINK not in terms or terms[LAST_LINK].prior is not None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0), fitted.inverse
+    at = fitted.at(terms[LAST_LINK].names)
+    wide = last_link_scale(fitted.arm.robot) ** -2.0
+    normal = fitted.normal.copy()
+    normal[at, at] += wide
+    return at, wide, solve(normal, fitted.values)[1]
 
 
 def equations_of(
