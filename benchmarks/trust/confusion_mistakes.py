@@ -23,7 +23,9 @@ from benchmarks.trust.confusion_causes import (
     Edit,
     Scene,
     edit_bodies,
+    in_turn,
     multiply_body,
+    spoiler,
     torque_of_payload,
     turned_signs,
 )
@@ -570,6 +572,19 @@ if hasattr(mujoco.MjsActuator, "set_to_dcmotor"):  # Since MuJoCo 4.
     MODEL_MISTAKES["friction_of_motors"] = Cause(
         friction_of_motors, (("actuator",),), "actuator.*(friction|LuGre|passive)"
     )
+TWO_MISTAKES = {
+    "sign_and_lost_samples": Cause(
+        in_turn(spoiler("torque_sign"), spoiler("dropped_samples")), (("clock",),)
+    ),
+    "order_and_clock_jumps": Cause(
+        in_turn(spoiler("exchanged_joints"), spoiler("clock_jump")), (("clock",),)
+    ),
+    "computed_and_zero": Cause(
+        in_turn(spoiler("computed_torque"), spoiler("position_offset")),
+        (("computed",),),
+    ),
+}
+"""Two at once: what needs less of the log has to be named, the other may follow from it."""
 RIGHT_LOGS = {
     "late_stamps": Cause(late_stamps, ()),
     "noisy": Cause(noisy, ()),
@@ -597,6 +612,7 @@ MISTAKES: dict[str, Cause] = {
     **POSITION_MISTAKES,
     **TIME_MISTAKES,
     **MODEL_MISTAKES,
+    **TWO_MISTAKES,
     **RIGHT_LOGS,
 }
 """Cause by its name; those without a fault are right."""
