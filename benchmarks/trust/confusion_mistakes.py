@@ -23,12 +23,13 @@ from benchmarks.trust.confusion_causes import (
     Edit,
     Scene,
     edit_bodies,
+    in_turn,
     multiply_body,
     payload_of,
+    spoiler,
     torque_of_payload,
     turned_signs,
 )
-from benchmarks.trust.right_logs import one_at_a_time, sampled
 from benchmarks.trust.wrong_logs import carrying_joint
 from rigs.arms.wrong_arms import (
     PRESLIDING,
@@ -37,6 +38,15 @@ from rigs.arms.wrong_arms import (
     noise_samples,
     resting_torque,
 )
+from rigs.arms.motions import (
+    of_joints,
+    one_at_a_time,
+    resting,
+    sampled,
+    slow,
+    smooth_step,
+)
+from rigs.arms.wrong_arms import PRESLIDING, RATE, WrongArm, noise_samples
 from rigs.files.urdf import urdf_of
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
@@ -74,6 +84,12 @@ SMALL_BALL: dict[str, Any] = {
 """A body that hardly weighs anything."""
 DENORMAL = 1e-308
 """Factor that makes next to nothing of a torque."""
+COARSE_STEP = 2.0 * np.pi / 4096
+"""Step of a coarse encoder [rad]."""
+SELDOM = 50.0
+"""Rate of a log with few samples [Hz]."""
+TORQUE_STEP = 0.1
+"""Step of a coarse torque [N m]."""
 
 
 def forearm_of(scene: Scene) -> int:
@@ -382,17 +398,49 @@ def noisy(scene: Scene) -> Scene:
     return record(scene, scene.arm, scene.motion, 5.0)
 
 
-def small_motion(scene: Scene) -> Scene:
-    """Return a right log of a fifth of the motion."""
-    motion = scene.motion
-    middle = np.mean(motion.q, axis=0)
-    small = Motion(
-        motion.time,
-        middle + 0.2 * (motion.q - middle),
-        0.2 * motion.qd,
-        0.2 * motion.qdd,
-    )
-    return record(scene, scene.arm, small)
+def small_motion(size: float, scene: Scene) -> Scene:
+    """Return a right log of a part of the motion, around the same posture."""
+    every = range(scene.robot.n_joints)
+    return record(scene, scene.arm, of_joints(every, scene.motion, size))
+
+
+def moving_joints(first: int, last: int | None, scene: Scene) -> Scene:
+    """Return a right log in which only joints of a slice of all move."""
+    joints = range(scene.robot.n_joints)[first:last]
+    return record(scene, scene.arm, of_joints(joints, scene.motion))
+
+
+def one_joint(scene: Scene) -> Scene:
+    """Return a right log in which a joint that gravity loads moves alone."""
+    joint = loaded_joint(scene)
+    return record(scene, scene.arm, of_joints([joint], scene.motion))
+
+
+def slow_motion(scene: Scene) -> Scene:
+    """Return a right log at a third of the speed."""
+    return record(scene, scene.arm, slow(scene.plan, scene.rng))
+
+
+def with_rest(first: float, last: float, scene: Scene) -> Scene:
+    """Return a right log in which the arm rests from one share of the time to another one."""
+    return record(scene, scene.arm, resting(first, last, scene.plan))
+
+
+def coarse_encoders(scene: Scene) -> Scene:
+    """Return a right log of encoders with 4096 steps a turn."""
+    arm = replace(scene.arm, step=COARSE_STEP)
+    return record(scene, arm, scene.motion)
+
+
+def seldom(scene: Scene) -> Scene:
+    """Return a right log of 50 samples a second."""
+    step = round(RATE / SELDOM)
+    return with_rows(scene, np.arange(0, len(scene.log), step))
+
+
+def coarse_torque(scene: Scene) -> Scene:
+    """Return a right log whose torques have steps of 0.1 N m."""
+    return with_torques(scene, np.round(scene.log.tau / TORQUE_STEP) * TORQUE_STEP)
 
 
 def joint_after_joint(scene: Scene) -> Scene:
@@ -404,8 +452,8 @@ def stiction(scene: Scene) -> Scene:
     """Return a right log in which friction holds a joint for the first third."""
     motion = scene.motion
     joint = carrying_joint(scene)
-    share = np.clip((motion.time / motion.time[-1] - 1.0 / 3.0) / 0.2, 0.0, 1.0)
-    freed = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    share = (motion.time / motion.time[-1] - 1.0 / 3.0) / 0.2
+    freed = smooth_step(share)
     q = motion.q.copy()
     q[:, joint] = q[0, joint] + freed * (q[:, joint] - q[0, joint])
     moved = sampled(motion.time, q)
@@ -831,17 +879,41 @@ if hasattr(mujoco.MjsActuator, "set_to_dcmotor"):  # Since MuJoCo 4.
         friction_of_motors, (("actuator",),), "actuator.*(friction|LuGre|passive)"
     )
     MODEL_MISTAKES["cogging_motor"] = Cause(cogging_motor, (("actuator",),), PASSIVE)
+TWO_MISTAKES = {
+    "sign_and_lost_samples": Cause(
+        in_turn(spoiler("torque_sign"), spoiler("dropped_samples")), (("clock",),)
+    ),
+    "order_and_clock_jumps": Cause(
+        in_turn(spoiler("exchanged_joints"), spoiler("clock_jump")), (("clock",),)
+    ),
+    "computed_and_zero": Cause(
+        in_turn(spoiler("computed_torque"), spoiler("position_offset")),
+        (("computed",),),
+    ),
+}
+"""Two at once: what needs less of the log has to be named, the other may follow from it."""
 RIGHT_LOGS = {
     "late_stamps": Cause(late_stamps, ()),
     "noisy": Cause(noisy, ()),
-    "small_motion": Cause(small_motion, ()),
+    "small_motion": Cause(partial(small_motion, 0.2), ()),
     "gap": Cause(gap, ()),
     "joint_after_joint": Cause(joint_after_joint, (), duration=30.0),
     "stiction": Cause(stiction, ()),
     "tied_fingers": Cause(tied_fingers, ()),
     "large_rotors": Cause(large_rotors, ()),
+    "five_seconds": Cause(lambda scene: scene, (), duration=5.0),
+    "slow_motion": Cause(slow_motion, ()),
+    "one_posture": Cause(partial(small_motion, 0.07), ()),
+    "one_joint": Cause(one_joint, ()),
+    "last_joints": Cause(partial(moving_joints, -3, None), ()),
+    "last_joint_still": Cause(partial(moving_joints, 0, -1), ()),
+    "rest_in_the_middle": Cause(partial(with_rest, 0.4, 0.6), ()),
+    "half_at_rest": Cause(partial(with_rest, -0.1, 0.5), ()),
+    "coarse_encoders": Cause(coarse_encoders, ()),
+    "fifty_hertz": Cause(seldom, ()),
+    "coarse_torque": Cause(coarse_torque, ()),
 }
-"""Right logs under odd conditions."""
+"""Right logs under odd conditions, which ``benchmarks.trust.right_logs`` looks at as well."""
 if hasattr(mujoco.MjsJoint, "springyield"):  # Since MuJoCo 4.
     RIGHT_LOGS["yielding_springs"] = Cause(yielding_springs, ())
 MISTAKES: dict[str, Cause] = {
@@ -850,6 +922,7 @@ MISTAKES: dict[str, Cause] = {
     **POSITION_MISTAKES,
     **TIME_MISTAKES,
     **MODEL_MISTAKES,
+    **TWO_MISTAKES,
     **RIGHT_LOGS,
 }
 """Cause by its name; those without a fault are right."""

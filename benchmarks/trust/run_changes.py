@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.trust.real_arms import SENSOR_ARMS, arms_parser
-from benchmarks.trust.right_logs import pick_and_place, planned
+from rigs.arms.motions import pick_and_place, planned
 from rigs.arms.wrong_arms import (
     ARMS,
     NOISE,

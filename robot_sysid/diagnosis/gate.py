@@ -15,8 +15,9 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import Evidence
+from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.fault_columns import fault_columns
-from robot_sysid.diagnosis.findings import findings
+from robot_sysid.diagnosis.findings import UNMEASURED, findings
 from robot_sysid.diagnosis.misfits import lost_links
 from robot_sysid.diagnosis.refusal import refuse_for
 from robot_sysid.diagnosis.samples import (
@@ -49,6 +50,19 @@ TRYING = "Trying explanations"
 """Label of the progress of the search for faults."""
 DOUBTFUL = (FaultName.MODEL, FaultName.UNEXPLAINED, FaultName.HELD, FaultName.SATURATED)
 """Faults beside which torque that is left over for a moment says nothing."""
+OF_SAMPLES = (
+    FaultName.TOO_LITTLE,
+    FaultName.CLOCK,
+    FaultName.HELD,
+    FaultName.SATURATED,
+)
+"""Faults of the samples, which a recording shows without a model."""
+OF_TORQUE = (*UNMEASURED, FaultName.GRAVITY)
+"""Faults of a torque that is none of this arm, or in no known unit."""
+NEEDS = (OF_SAMPLES, OF_TORQUE, (*OF_COLUMNS, FaultName.ZERO, FaultName.DELAY))
+"""Faults by what of a log they need, the least first: its samples, whether its torques are such of
+this arm, its columns. All others need the arm's model to be right. Where two are found, what needs
+less is wrong first, and what needs more may be its consequence."""
 LEAST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
 LEAST_ROWS = 40
@@ -174,8 +188,26 @@ def wide(priors: Priors) -> Priors:
 
 
 def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings by their level, the most severe first, each once."""
-    return tuple(sorted(dict.fromkeys(found), key=lambda f: [*Level].index(f.level)))
+    """Return findings, each once: the most severe first, then those that need less of a log.
+
+    Beside doubts of the samples, what is only said of the model is their consequence.
+    """
+    is_doubted = any(
+        each.about in OF_SAMPLES and each.level is not Level.SAYS for each in found
+    )
+    kept = [
+        each
+        for each in dict.fromkeys(found)
+        if not (is_doubted and each.about is FaultName.MODEL)
+        or each.level is not Level.SAYS
+    ]
+    return tuple(sorted(kept, key=lambda f: ([*Level].index(f.level), needs(f))))
+
+
+def needs(finding: Finding) -> int:
+    """Return how much of a log a finding needs: its place in ``NEEDS``."""
+    places = (place for place, names in enumerate(NEEDS) if finding.about in names)
+    return next(places, len(NEEDS))
 
 
 def refusals(found: Iterable[Finding]) -> list[Finding]:
@@ -254,7 +286,8 @@ def usable_fit(
     for finding in judged.findings:
         is_accepted = finding.level is Level.DOUBTS and finding.about in accepted
         if finding.level is Level.SAYS or is_accepted:
-            notes.append(f"{finding.sentence} [{finding.about}]")
+            start = "accepted: " if is_accepted else ""
+            notes.append(f"{start}{finding.sentence} [{finding.about}]")
     try:
         require_acceptable(judged.logs, judged.findings, accepted)
     except SysidError:
@@ -269,6 +302,8 @@ def require_acceptable(
 ) -> None:
     """Raise an error where a finding refuses logs or is a doubt that is not accepted.
 
+    A doubt that needs less of the logs than what refuses them comes first: that may follow from it.
+
     Args:
         logs: that were read.
         found: the findings of all checks.
@@ -280,13 +315,16 @@ def require_acceptable(
         SysidError: there is a doubt that is not accepted.
     """
     refused = refusals(found)
+    doubts = [f for f in found if f.level is Level.DOUBTS and f.about not in accepted]
+    least = min(map(needs, refused), default=len(NEEDS))
+    earlier = [doubt for doubt in doubts if refused and needs(doubt) < least]
     # A remedy is none where something else is wrong as well.
-    if len(refused) == 1:
+    if len(refused) == 1 and not earlier:
         raise refuse_for(logs, refused[0])
     names = ", ".join(log.name for log in logs)
     if refused:
-        raise InputError(f"{names}: {'; '.join(f.sentence for f in refused)}")
-    doubts = [f for f in found if f.level is Level.DOUBTS and f.about not in accepted]
+        texts = "; ".join(finding.sentence for finding in [*earlier, *refused])
+        raise InputError(f"{names}: {texts}{_still_refused(found, accepted)}")
     if doubts:
         texts = "; ".join(finding.sentence for finding in doubts)
         # Each name once, in the order of the findings.
@@ -294,3 +332,16 @@ def require_acceptable(
         accepting = option_setting("accept", *checks)
         advice = f"nothing was written (to go on all the same: {accepting})"
         raise SysidError(f"{names}: {texts}; {advice}")
+
+
+def _still_refused(found: Sequence[Finding], accepted: Collection[str]) -> str:
+    """Return what refusals do to the doubts that were accepted; "" without any."""
+    passed = [
+        finding.about
+        for finding in found
+        if finding.level is Level.DOUBTS and finding.about in accepted
+    ]
+    if not passed:
+        return ""
+    option = option_setting("accept", *dict.fromkeys(passed))
+    return f" ({option} accepts doubts of that name alone, and these findings refuse)"

@@ -25,6 +25,9 @@ MANY_VALUES = 100
 """Number of different values below which a channel has coarse steps, which repeat by chance."""
 SLOWEST = 0.05
 """Speed that at least one joint of a moving arm reaches [rad/s]."""
+STANDING = 0.005
+"""Speed up to which a joint stands [rad/s]: what holds it, its friction or a brake, needs no torque
+that changes, and its rows are not used."""
 
 
 def failed_sensors(pieces: Sequence[Recording]) -> Iterator[Stretch]:
@@ -33,21 +36,28 @@ def failed_sensors(pieces: Sequence[Recording]) -> Iterator[Stretch]:
         joints = np.eye(piece.q.shape[1], dtype=bool)
         for joint, q, tau in zip(joints, piece.q.T, piece.tau.T):
             runs = [(FaultName.HELD, rows) for rows in frozen_positions(piece.time, q)]
-            runs += held_torques(piece, tau)
+            runs += held_torques(piece, q, tau)
             for name, rows in runs:
                 start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
                 yield Stretch(start, stop, joint, name)
 
 
-def held_torques(piece: Recording, tau: Array) -> Iterator[tuple[FaultName, slice]]:
-    """Yield (name, rows) where a torque (N,) repeats its value while the arm moves."""
+def held_torques(
+    piece: Recording, q: Array, tau: Array
+) -> Iterator[tuple[FaultName, slice]]:
+    """Yield (name, rows) where a joint's torque (N,) repeats its value while it moves.
+
+    ``q`` (N,) are the joint's positions: one that friction holds may have the same torque all the
+    time while other joints move.
+    """
     if len(np.unique(tau)) < MANY_VALUES:
         return
     ends = np.min(tau), np.max(tau)
     for rows in equal_runs(piece.time, tau):
         # The range of positions counts: an arm may return to where it was.
         length = min(float(np.ptp(piece.time[rows])), 1.0)
-        if np.max(np.ptp(piece.q[rows], axis=0)) > SLOWEST * length:
+        stands = np.ptp(q[rows]) < STANDING * length
+        if not stands and np.max(np.ptp(piece.q[rows], axis=0)) > SLOWEST * length:
             yield (
                 FaultName.SATURATED if tau[rows.start] in ends else FaultName.HELD,
                 rows,

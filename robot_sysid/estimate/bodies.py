@@ -2,7 +2,9 @@
 
 Minimises ||A x - b||^2 over the ten parameters of every body and all other parameters, with each
 body's pseudo-inertia P (4, 4) at least a small share of that of its reference body P0: a consistent
-body that is expected without any data, such as the model's. A body is consistent where its
+body that is expected without any data, such as the model's. Other parameters keep within bounds, at
+once with the bodies: one that is crossed beside impossible bodies is often not reached beside
+possible ones. A body is consistent where its
 pseudo-inertia is positive definite (Wensing, Kim, Slotine, "Linear matrix inequalities for
 physically consistent inertial parameter identification", IEEE Robotics and Automation Letters 3(1),
 2018). Directions without data stay at the reference bodies where that costs hardly anything.
@@ -14,7 +16,7 @@ in an orthonormal basis of symmetric matrices, which are also the rows of Clarab
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -48,6 +50,9 @@ solver's error is relative to the distance, and far less than ``MOST_ABOVE`` the
 HEAVIEST = (1e7, 1e5, 1e3)
 """Largest norms of the equations, tried one after the other: where rounding ends a search with
 exact data, it comes to an end with data that weighs less."""
+AT_BOUND = 1e-3
+"""Distance from its bound up to which a parameter is at it, in units of the torque's standard
+deviation that it makes: the solver comes no nearer, and no torque shows it."""
 # Relative error of the solution.
 _TOLERANCE = 1e-8
 # Orthonormal basis (10, 4, 4) of symmetric matrices with the inner product tr(A B): a matrix has a
@@ -67,13 +72,31 @@ class Possible:
 
     Attributes:
         values: (p,) the solution x.
+        is_inside: (p,) which parameters are at no bound.
         is_held: whether directions that the equations do not show are held at the reference bodies.
         spread: standard deviation of bodies from their reference bodies, as a share of them.
     """
 
     values: Array
+    is_inside: NDArray[np.bool_]
     is_held: bool
     spread: float
+
+
+@dataclass(frozen=True)
+class _Sought:
+    """What is searched: coordinates of links, which are last, and of parameters before them.
+
+    Attributes:
+        bodies: (L, 10) reference bodies of the links, consistent ones.
+        lower, upper: (q,) bounds of the parameters that have any, which come before the links.
+        start: (L, 10) bodies to begin with; None for those nearest to the free solution.
+    """
+
+    bodies: Array
+    lower: Array
+    upper: Array
+    start: Array | None = None
 
 
 def consistent_least_squares(
@@ -83,6 +106,7 @@ def consistent_least_squares(
     prior: Array,
     has_hidden: bool = True,
     like: Possible | None = None,
+    bounds: tuple[Array, Array] | None = None,
 ) -> Possible:
     """Return x (p,) of nearly the least ||A x - b|| with which all bodies are consistent.
 
@@ -101,6 +125,7 @@ def consistent_least_squares(
         has_hidden: whether A may not show some direction.
         like: solution of equations that are nearly the same, from which the search begins, and
             which says what is held; None for none.
+        bounds: (p,) least and largest parameters, which bodies do not have; None for none.
 
     Raises:
         SysidError: the equations are no numbers.
@@ -121,8 +146,17 @@ def consistent_least_squares(
     for link, theta in zip(links, bodies):
         reference[link] = theta
         unit[np.ix_(link, link)] = _units(theta)
-    # Other parameters come first, so that links have a triangle of their own.
-    order = np.concatenate((np.setdiff1d(np.arange(size), links), np.ravel(links)))
+    lower, upper = bounds or (np.full(size, -np.inf), np.full(size, np.inf))
+    is_bounded = np.isfinite(lower) | np.isfinite(upper)
+    is_bounded[links] = False
+    bounded = np.flatnonzero(is_bounded)
+    # Other parameters come first, so that what is searched has a triangle of its own.
+    at = np.append(links, bounded)
+    order = np.concatenate(
+        (np.setdiff1d(np.arange(size), at), bounded, np.ravel(links))
+    )
+    measure = np.where(length > 0.0, length, 1.0)[bounded]
+    sought = _Sought(bodies, lower[bounded] * measure, upper[bounded] * measure)
     shown = np.column_stack((matrix @ unit[:, order], right_side - matrix @ reference))
 
     def cost(y: Array) -> float:
@@ -138,17 +172,16 @@ def consistent_least_squares(
         held = HELD_WEIGHT * np.linalg.qr(rows)[0].T
         hidden = np.column_stack((held, np.zeros(len(held))))
     if like is None:
-        start = None
         # With all hidden directions held, then with none of them.
         tried = [*product((True, False) if has_hidden else (False,), SPREADS)]
-        limit = cost(_solve(shown, bodies, SPREADS[-1])) + MOST_ABOVE
+        limit = cost(_solve(shown, sought, SPREADS[-1])) + MOST_ABOVE
     else:
-        start = like.values[links]
+        sought = replace(sought, start=like.values[links])
         tried = [(like.is_held and has_hidden, like.spread)]
         limit = np.inf
     for is_held, spread in tried:
         rows = np.vstack((shown, hidden)) if is_held else shown
-        y = _solve(rows, bodies, spread, start)
+        y = _solve(rows, sought, spread)
         if cost(y) <= limit:
             break
     values = reference + unit[:, order] @ y
@@ -156,57 +189,60 @@ def consistent_least_squares(
         theta = values[link]
         if not spatial.is_consistent(theta):
             values[link] = nearest_consistent_body(theta, theta, ROUNDING)
-    return Possible(values, is_held, spread)
+    near = AT_BOUND / np.where(length > 0.0, length, 1.0)
+    is_low = is_bounded & (values < lower + near)
+    is_high = is_bounded & (values > upper - near)
+    values = np.where(is_low, lower, np.where(is_high, upper, values))
+    return Possible(values, ~(is_low | is_high), is_held, spread)
 
 
-def _solve(
-    rows: Array, bodies: Array, spread: float, start: Array | None = None
-) -> Array:
+def _solve(rows: Array, sought: _Sought, spread: float) -> Array:
     """Return the coordinates y (p,) of least squared residuals with which bodies are consistent.
 
     Args:
-        rows: equations [A b] (M, p + 1) in these coordinates, links last.
-        bodies: (L, 10) reference bodies of the links, consistent ones.
+        rows: equations [A b] (M, p + 1) in these coordinates, what is sought last.
+        sought: bodies and bounded parameters.
         spread: standard deviation of bodies from their reference bodies, as a share of them.
-        start: (L, 10) bodies to begin with; None for those nearest to the free solution.
     """
     size = rows.shape[1] - 1
-    others = size - bodies.size
+    links = size - sought.bodies.size
+    others = links - len(sought.lower)
     precision = np.eye(size, size + 1)
-    precision[:others] /= LOOSE
-    precision[others:] /= spread
+    precision[:links] /= LOOSE
+    precision[links:] /= spread
     triangle = np.asarray(np.linalg.qr(np.vstack((rows, precision)), mode="r"))
-    z = _possible_coordinates(triangle[others:, others:], bodies, start)
+    z = _possible_coordinates(triangle[others:, others:], sought)
     top = triangle[:others]
     shown = top[:, -1] - top[:, others:-1] @ z
     return np.append(np.linalg.solve(top[:, :others], shown), z)
 
 
-def _possible_coordinates(
-    equations: Array, bodies: Array, start: Array | None
-) -> Array:
-    """Return the coordinates z (10 L,) of least ||A z - b|| with which L bodies are consistent.
+def _possible_coordinates(equations: Array, sought: _Sought) -> Array:
+    """Return the coordinates z (q + 10 L,) of least ||A z - b|| with which L bodies are consistent.
 
-    Those of one link stand for the body theta + U z, theta its reference body and U ``_units`` of
-    it. They are searched relative to the consistent bodies that are nearest to the solution in
-    which bodies may be impossible, so that numbers of very different sizes do not meet; and again
-    relative to what was found where the distance is large, as rounding counts relative to it.
+    The first q are parameters with bounds. Those of one link stand for the body theta + U z, theta
+    its reference body and U ``_units`` of it. They are searched relative to the consistent bodies
+    that are nearest to the solution in which bodies may be impossible, so that numbers of very
+    different sizes do not meet; and again relative to what was found where the distance is large,
+    as rounding counts relative to it.
 
     Args:
-        equations: [A b] (10 L + 1, 10 L + 1), triangular.
-        bodies: (L, 10) reference bodies.
-        start: (L, 10) consistent bodies to begin with; None for those nearest to the solution.
+        equations: [A b] (q + 10 L + 1, q + 10 L + 1), triangular.
+        sought: bodies and bounds.
     """
-    units = [*map(_units, bodies)]
-    if start is None:
-        z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
-    else:
-        z = np.concatenate([*map(np.linalg.solve, units, start - bodies)])
+    units = [*map(_units, sought.bodies)]
+    z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
+    count = len(sought.lower)
+    if sought.start is not None:
+        deviations = sought.start - sought.bodies
+        z[count:] = np.concatenate([*map(np.linalg.solve, units, deviations)])
     for _ in range(3):
         centre = np.zeros_like(z)
-        change = np.zeros((len(z), len(z)))
+        centre[:count] = np.clip(z[:count], sought.lower, sought.upper)
+        change = np.eye(len(z))
         least = []
-        for first, theta, unit in zip(range(0, len(z), N_INERTIAL), bodies, units):
+        firsts = range(count, len(z), N_INERTIAL)
+        for first, theta, unit in zip(firsts, sought.bodies, units):
             span = slice(first, first + N_INERTIAL)
             near = nearest_consistent_body(theta + unit @ z[span], theta, LEAST_AXIS)
             centre[span] = np.linalg.solve(unit, near - theta)
@@ -215,30 +251,42 @@ def _possible_coordinates(
             least.append(inverse @ spatial.pseudo_inertia(theta) @ inverse.T)
         shifted = equations[:, -1] - equations[:, :-1] @ centre
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
-        found = _by_cone(rows, LEAST_SHARE * np.array(least) + _TOLERANCE * np.eye(4))
+        limits = LEAST_SHARE * np.array(least) + _TOLERANCE * np.eye(4)
+        below = sought.lower - centre[:count]
+        above = sought.upper - centre[:count]
+        found = _by_cone(rows, limits, below, above)
         z = centre + change @ found
-        if found.any() and (start is not None or shifted @ shifted < SMALL_DISTANCE):
+        is_small = shifted @ shifted < SMALL_DISTANCE
+        if found.any() and (sought.start is not None or is_small):
             break
     return np.asarray(z)
 
 
-def _by_cone(equations: Array, least: Array) -> Array:
-    """Return the coordinates z (10 L,) of least ||A z - b|| by Clarabel; zeros where it fails.
+def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Array:
+    """Return the coordinates z (q + 10 L,) of least ||A z - b|| by Clarabel; zeros where it fails.
 
-    Zeros are the bodies that the search begins with, which are near the best already.
+    Zeros are what the search begins with, which is near the best already.
 
     Args:
-        equations: [A b] (M, 10 L + 1).
+        equations: [A b] (M, q + 10 L + 1).
         least: (L, 4, 4) of each K, which are at least these.
+        lower, upper: (q,) bounds of the first coordinates.
     """
     # Imported here, as SciPy's sparse matrices take half a second and most runs need no body.
     import clarabel
     from scipy import sparse
 
     count, size = len(equations), equations.shape[1] - 1
+    every = np.eye(size, size + count)
+    at_least = np.flatnonzero(np.isfinite(lower))
+    at_most = np.flatnonzero(np.isfinite(upper))
     # Coefficients of the matrices 1 - least in the basis.
     above = (np.eye(4) - least).reshape(-1, 16) @ _BASIS.reshape(10, 16).T
-    cones = [clarabel.ZeroConeT(count), *(clarabel.PSDTriangleConeT(4) for _ in least)]
+    cones = [
+        clarabel.ZeroConeT(count),
+        clarabel.NonnegativeConeT(len(at_least) + len(at_most)),
+        *(clarabel.PSDTriangleConeT(4) for _ in least),
+    ]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
@@ -246,8 +294,11 @@ def _by_cone(equations: Array, least: Array) -> Array:
         rows = equations / max(1.0, float(np.linalg.norm(equations)) / heaviest)
         # Residuals are variables of their own: the condition of the problem is not squared.
         residuals = np.hstack((rows[:, :-1], -np.eye(count)))
-        constraints = np.vstack((residuals, -np.eye(size, size + count)))
-        limits = np.append(rows[:, -1], above)
+        constraints = np.vstack(
+            (residuals, -every[at_least], every[at_most], -every[len(lower) :])
+        )
+        bounds = np.concatenate((-lower[at_least], upper[at_most]))
+        limits = np.concatenate((rows[:, -1], bounds, np.ravel(above)))
         try:
             solution = clarabel.DefaultSolver(
                 sparse.csc_matrix(np.diag(np.repeat((0.0, 1.0), (size, count)))),

@@ -33,6 +33,7 @@ from robot_sysid.estimate.rows import Sums, indices_of, row_chunks
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
+    LAST_LINK,
     PAYLOAD,
     PAYLOAD_NAMES,
     SCALES,
@@ -40,7 +41,7 @@ from robot_sysid.estimate.terms import (
     Point,
     Term,
 )
-from robot_sysid.records import Array
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
@@ -258,6 +259,8 @@ class Problem:
         if not possible:
             return fitted
         if not equations.are_possible_bodies(fitted.free):
+            # A bound that impossible bodies push against says nothing of possible ones.
+            fitted = replace(fitted, is_free=np.ones_like(fitted.is_free))
             fitted = fitted.solve_within_bounds(fitted.normal, True)
         return replace(fitted, left_out=LeftOut.EACH)
 
@@ -562,29 +565,25 @@ class Fit(Problem):
             equations.crossing(values)
         ):
             return values
-        # Bounds first, as in the fit itself: each search for bodies takes the time of ten fits.
         bounded = self.solve_within_bounds(normal, False)
         if equations.are_possible_bodies(bounded.values):
             return bounded.values
-        return bounded.solve_within_bounds(normal, True).values
+        return self.solve_within_bounds(normal, True).values
 
     def solve_within_bounds(self, normal: Array, possible: bool) -> Fit:
         """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.
 
-        Parameters that cross a bound are held at it, and not released: those first that yield, a
-        bend of friction below zero, which pushes dry or viscous friction beyond theirs. Bodies are
-        possible ones, if they have to be.
+        Bodies are possible ones, if they have to be. Otherwise, parameters that cross a bound are
+        held at it, and not released: those first that yield, a bend of friction below zero, which
+        pushes dry or viscous friction beyond theirs.
         """
         equations = self.equations
         start = self.start
         is_free = self.is_free
-        bodies = self.bodies
+        if possible and len(equations.bodies):
+            return self._with_possible_bodies(normal)
         while True:
-            if possible and len(equations.bodies):
-                bodies = self._possible_bodies(normal, bodies, start, is_free)
-                values = bodies.values
-            else:
-                values, _ = solve(normal, start, is_free)
+            values, _ = solve(normal, start, is_free)
             crosses = equations.crossing(values) & is_free
             if not np.any(crosses):
                 break
@@ -592,21 +591,38 @@ class Fit(Problem):
                 crosses &= equations.yields
             is_free = is_free & ~crosses
             start = np.where(crosses, equations.inside(values), start)
-        values = equations.inside(values)
-        return replace(self, values=values, is_free=is_free, bodies=bodies)
+        return replace(self, values=equations.inside(values), is_free=is_free)
+
+    def _with_possible_bodies(self, normal: Array) -> Fit:
+        """Return the fit with the best possible bodies in bounds, of products (k + 1, k + 1).
+
+        Bounds take part in the search from the first crossing on: a parameter that is held at its
+        bound beside one set of bodies may be far from it beside others.
+        """
+        equations = self.equations
+        is_bounded = np.zeros_like(self.is_free)
+        bodies = self.bodies
+        while True:
+            bodies = self._possible_bodies(normal, bodies, is_bounded)
+            crosses = equations.crossing(bodies.values) & self.is_free & ~is_bounded
+            if not np.any(crosses):
+                break
+            is_bounded |= crosses
+        values = equations.inside(bodies.values)
+        return replace(self, values=values, is_free=bodies.is_inside, bodies=bodies)
 
     def _possible_bodies(
-        self,
-        normal: Array,
-        like: Possible | None,
-        start: Array,
-        is_free: NDArray[np.bool_],
+        self, normal: Array, like: Possible | None, is_bounded: NDArray[np.bool_]
     ) -> Possible:
         """Return the best values (k,) of products (k + 1, k + 1) with which bodies are possible.
 
+        Those that are not free (k,) stay where they are; those that are bounded (k,) obey bounds.
         ``like`` is such a search for nearly the same equations; None for none.
         """
-        least = self.equations.least
+        is_free = self.is_free
+        start = self.start
+        equations = self.equations
+        least = equations.least
         at = np.flatnonzero(is_free)
         matrix = normal[at[:, None], at]
         # Searched are bodies without what they have to contain.
@@ -617,17 +633,27 @@ class Fit(Problem):
         scaled[np.diag_indices_from(scaled)] += _RIDGE
         root = np.linalg.cholesky(scaled)
         target = np.linalg.solve(root, right_side / length)
-        links = np.searchsorted(at, self.equations.bodies)
-        prior = (self.equations.reference - least)[at]
+        links = np.searchsorted(at, equations.bodies)
+        prior = (equations.reference - least)[at]
         if like is not None:
             like = replace(like, values=(like.values - least)[at])
-        has_hidden = bool(np.any(self.is_hidden))
         found = consistent_least_squares(
-            root.T * length, target, links, prior, has_hidden, like
+            root.T * length,
+            target,
+            links,
+            prior,
+            bool(np.any(self.is_hidden)),
+            like,
+            (
+                np.where(is_bounded, equations.lower, -np.inf)[at],
+                np.where(is_bounded, equations.upper, np.inf)[at],
+            ),
         )
         values = known.copy()
         values[at] += found.values
-        return replace(found, values=values)
+        is_inside = is_free.copy()
+        is_inside[at] = found.is_inside
+        return replace(found, values=values, is_inside=is_inside)
 
     def of(self, sums: Sums) -> Fit:
         """Return this estimate with the sums of other recordings, to judge it on them."""
@@ -683,6 +709,9 @@ class Fit(Problem):
         """Return the point for the next linearisation, at this estimate."""
         values = self.by_name
         links = self.thetas
+        # What a sensor's scale multiplies is no inertia that only noise makes.
+        settled = settled_values(self)
+        links[-1] = [settled[name] for name in self.arm.terms[LAST_LINK].names]
         thetas = self.arm.robot.thetas
         thetas[-1] = links[-1]
         payload = self.point.payload
@@ -706,6 +735,64 @@ class Fit(Problem):
         """Return rows (K of all recordings, ...) as those of each recording."""
         ends = np.cumsum([len(recording) for recording in self.recordings])
         return np.split(rows, ends[:-1])
+
+
+def last_link_scale(robot: RobotModel) -> Array:
+    """Return how far off the last link (10,) may be, of which nothing is known: as a link is large.
+
+    That is the model's own, or a usual one of the arm: what is bolted to a flange of 0.2 kg may
+    weigh as much as any other link, but not a hundred times that.
+    """
+    masses = robot.thetas[:, 0]
+    length = robot.length / robot.n_joints
+    usual = spatial.parameter_scale(float(np.mean(masses[masses > 0.0])), length)
+    return np.maximum(robot.prior.scale, usual)
+
+
+def settled_values(fitted: Fit) -> dict[str, float]:
+    """Return the names of all parameters to their values, the last link kept near the model's.
+
+    It is at most as far off as nothing known of it allows (``last_link_scale``): a log in which the
+    last joint stands still lets its inertia free, and noise alone has made it 200 kg m^2.
+    """
+    values = dict(fitted.by_name)
+    at, wide, inverse = _settled(fitted)
+    if len(at):
+        term = fitted.arm.terms[LAST_LINK]
+        pull = inverse[:, at] @ (wide * (term.reference - fitted.values[at]))
+        values.update(zip(fitted.names, (fitted.values + pull).tolist()))
+    return values
+
+
+def settled_errors(fitted: Fit) -> dict[str, float]:
+    """Return the names of estimated parameters to their errors beside a last link that exists.
+
+    It is at most as far off the model's as in ``settled_values``.
+    """
+    at, _, inverse = _settled(fitted)
+    errors = fitted.errors
+    if len(at):
+        formal = np.sqrt(np.diag(inverse))
+        raised = np.where(fitted.is_hidden, 1.0, errors)
+        raised /= np.where(fitted.is_hidden, 1.0, np.sqrt(np.diag(fitted.inverse)))
+        errors = raised * formal
+    return dict(zip(fitted.names, errors.tolist()))
+
+
+def _settled(fitted: Fit) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return what keeps the last link near the model's, in a fit that lets it free.
+
+    It is (indices (10,) of its parameters, their precisions (10,), covariance (k, k) with these);
+    without indices where its question keeps it near the model's already.
+    """
+    terms = {term.key: term for term in fitted.equations.terms}
+    if LAST_LINK not in terms or terms[LAST_LINK].prior is not None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0), fitted.inverse
+    at = fitted.at(terms[LAST_LINK].names)
+    wide = last_link_scale(fitted.arm.robot) ** -2.0
+    normal = fitted.normal.copy()
+    normal[at, at] += wide
+    return at, wide, solve(normal, fitted.values)[1]
 
 
 def equations_of(

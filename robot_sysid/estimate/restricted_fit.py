@@ -14,10 +14,15 @@ from dataclasses import replace
 import numpy as np
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid import spatial
 from robot_sysid.dynamics.friction import BEND, OFFSET, POLYNOMIAL, ROTOR, TERMS
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
-from robot_sysid.estimate.fit import Fit, LeftOut, solve
+from robot_sysid.estimate.fit import (
+    Fit,
+    LeftOut,
+    last_link_scale,
+    settled_errors,
+    settled_values,
+)
 from robot_sysid.estimate.held_out import error_in, validation, validation_as_used
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import (
@@ -42,7 +47,6 @@ from robot_sysid.records import (
     Errors,
     InertialParameters,
     ModelErrors,
-    RobotModel,
     Validation,
 )
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
@@ -277,39 +281,6 @@ def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
     return terms
 
 
-def last_link_scale(robot: RobotModel) -> Array:
-    """Return how far off the last link (10,) may be, of which nothing is known: as a link is large.
-
-    That is the model's own, or a usual one of the arm: what is bolted to a flange of 0.2 kg may
-    weigh as much as any other link, but not a hundred times that.
-    """
-    masses = robot.thetas[:, 0]
-    length = robot.length / robot.n_joints
-    usual = spatial.parameter_scale(float(np.mean(masses[masses > 0.0])), length)
-    return np.maximum(robot.prior.scale, usual)
-
-
-def settled_values(fitted: Fit) -> dict[str, float]:
-    """Return the names of all parameters to their values, the last link kept near the model's.
-
-    It is at most as far off as nothing known of it allows (``last_link_scale``): a log in which the
-    last joint stands still lets its inertia free, and noise alone has made it 200 kg m^2.
-    """
-    values = dict(fitted.by_name)
-    terms = {term.key: term for term in fitted.equations.terms}
-    if LAST_LINK not in terms or terms[LAST_LINK].prior is not None:
-        return values
-    term = fitted.arm.terms[LAST_LINK]
-    at = fitted.at(term.names)
-    wide = last_link_scale(fitted.arm.robot) ** -2.0
-    normal = fitted.normal.copy()
-    normal[at, at] += wide
-    _, inverse = solve(normal, fitted.values)
-    pull = inverse[:, at] @ (wide * (term.reference - fitted.values[at]))
-    values.update(zip(fitted.names, (fitted.values + pull).tolist()))
-    return values
-
-
 def _near(estimate: Fit, term: Term, settled: Mapping[str, float]) -> Term:
     """Return a term of bodies with the identified numbers and their errors as its prior.
 
@@ -335,7 +306,9 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
 
     It is the estimate of all terms where that is expected to predict better than the model's rotor,
     from sqrt(2) standard errors on (Akaike, "A new look at the statistical model identification",
-    IEEE Transactions on Automatic Control 19(6), 1974). One that is fitted beside a file's few
+    IEEE Transactions on Automatic Control 19(6), 1974). Errors are ``settled_errors``: beside a
+    last link of any inertia, no rotor would be known in a log of one joint after the other, and the
+    file would have neither of the two. One that is fitted beside a file's few
     terms would take up the torque of friction that a file lacks.
 
     Tendons have rotor inertia since MuJoCo 3.2.7 only. So that of a motor goes to the joints which
@@ -345,12 +318,13 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
     robot = arm.robot
     if FILE_ROTORS in unchanged or len(arm.joints) < robot.n_joints:
         return {}
+    known = settled_errors(estimate)
     rotors = {}
     for owner in arm.owners:
         name = ROTOR.key_of(owner)
         of_model = arm.model.get(name, 0.0)
         value = estimate.by_name.get(name, of_model)
-        is_better = (value - of_model) ** 2 > 2.0 * estimate.error_of(name) ** 2
+        is_better = (value - of_model) ** 2 > 2.0 * known.get(name, np.inf) ** 2
         rotors[name] = value if is_better else of_model
     names = [*map(ROTOR.key_of, robot.joint_names)]
     for motor in arm.motors:

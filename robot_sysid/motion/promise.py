@@ -27,13 +27,9 @@ from numpy.typing import NDArray
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, ROTOR, VISCOUS
 from robot_sysid.estimate.choose import fastest_of, speeds_in
-from robot_sysid.estimate.fit import Fit, solve
+from robot_sysid.estimate.fit import Fit, last_link_scale, settled_values, solve
 from robot_sysid.estimate.questions import LEAST_DRY
-from robot_sysid.estimate.restricted_fit import (
-    last_link_scale,
-    settled_values,
-    straight_of,
-)
+from robot_sysid.estimate.restricted_fit import straight_of
 from robot_sysid.estimate.rows import Sums
 from robot_sysid.estimate.terms import (
     FRICTION,
@@ -64,6 +60,8 @@ from robot_sysid.results.record import (
     MotionErrors,
     NextMotion,
 )
+from robot_sysid.results.rules import OF_OTHER_MOTIONS
+from robot_sysid.results.verdicts import judge
 
 MOST_RAISED = 2.0
 """Most by which the jackknife raises an error here: it is uncertain itself, and of ten blocks its
@@ -480,8 +478,12 @@ def with_promise(result: Identification, fitted: Fit, file: Fit) -> Identificati
     if written.curved is not None:
         curved = replace(written.curved, elsewhere=promise.of(file))
         written = replace(written, curved=curved)
-    remarks = (*result.remarks, *says(promise.limits()))
-    return replace(result, file=written, remarks=remarks)
+    remarks = [*result.remarks, *says(promise.limits())]
+    elsewhere = (written.curved or written).elsewhere
+    # A payload is what was asked for, whatever the file beside it is worth.
+    if result.payload is None and elsewhere is not None:
+        remarks += judge(OF_OTHER_MOTIONS, elsewhere)
+    return replace(result, file=written, remarks=tuple(remarks))
 
 
 class Promise:

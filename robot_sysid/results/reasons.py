@@ -34,6 +34,7 @@ from robot_sysid.records import (
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import percent, torque_unit, with_error
 from robot_sysid.records.quantities import BodyEstimate, Quantity
+from robot_sysid.results.record import Elsewhere
 from robot_sysid.wording import option_name
 
 TOOL_REACH = 0.3
@@ -207,7 +208,8 @@ def file_fault(errors: ModelErrors, data: str = "held-out data") -> str:
     used = errors.as_used.before, errors.as_used.after
     shares = [each.relative_error or 0.0 for each in used]
     squares = [np.sum(each.blocks, axis=1) for each in used]
-    if shares[1] > NEGLIGIBLE and is_clearly_lower(*squares):
+    is_worse = shares[1] > NEGLIGIBLE and is_clearly_lower(*squares)
+    if shares[1] > WORST_FILE or is_worse:
         return (
             f"torque error of the model on {data}, with the offsets of its sensors, which no file "
             f"holds, counted as errors: {percent(shares[0])} -> {percent(shares[1])}"
@@ -233,6 +235,13 @@ def faults_on_other_logs(others: Iterable[ModelErrors]) -> Iterator[str]:
         reason = file_fault(errors, errors.before.source)
         if reason:
             yield reason
+
+
+def poor_elsewhere(errors: Elsewhere) -> Iterator[str]:
+    """Yield why a written file is of no use for motions that nobody recorded."""
+    share = errors.after.relative_error
+    if share > WORST_FILE:
+        yield f"on other motions about {percent(share)} of the torque is expected to be wrong"
 
 
 def is_better(errors: ModelErrors) -> bool:

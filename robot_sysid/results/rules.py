@@ -15,6 +15,7 @@ from robot_sysid.records.levels import INTERVAL, UNEXPLAINED
 from robot_sysid.records.messages import percent
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results import reasons
+from robot_sysid.results.record import Elsewhere
 from robot_sysid.results.verdicts import (
     Rule,
     Verdict,
@@ -112,6 +113,11 @@ OF_ARM: tuple[Rule[ArmEvidence], ...] = (
     Rule(Verdict.NO_BETTER, lambda e: reasons.faults_on_other_logs(e.others)),
 )
 """Rules on an arm that was identified from recordings."""
+
+OF_OTHER_MOTIONS: tuple[Rule[Elsewhere], ...] = (
+    Rule(Verdict.LIKE_MOTIONS, reasons.poor_elsewhere),
+)
+"""Rules on the errors to expect of the file to use on motions that nobody recorded."""
 
 
 # ---- a payload

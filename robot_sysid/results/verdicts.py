@@ -29,6 +29,7 @@ class Verdict(str, Enum):
     TOO_WEAK = "TOO_WEAK"
     NO_BETTER = "NO_BETTER"
     TORQUES_ONLY = "TORQUES_ONLY"
+    LIKE_MOTIONS = "LIKE_MOTIONS"
     INERTIA_NOT_KNOWN = "INERTIA_NOT_KNOWN"
     PARTLY_FROM_MODEL = "PARTLY_FROM_MODEL"
     BETTER = "BETTER"
@@ -123,6 +124,12 @@ MEANINGS: Mapping[Verdict, Meaning] = {
         "a part of the torque follows from nothing that was fitted: use the written model for "
         "torques of motions like the log's, not for the numbers",
         "Only for torques of motions like the log's, not for the numbers",
+    ),
+    Verdict.LIKE_MOTIONS: Meaning(
+        Level.DOUBTS,
+        "the log shows too little of the arm for other motions than its own: record one in which "
+        "all joints move, and identify the arm from both",
+        "Only for motions like the log's",
     ),
     Verdict.INERTIA_NOT_KNOWN: Meaning(
         Level.SAYS,

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from rigs.arms.wrong_arms import truth_of
-from robot_sysid.diagnosis.gate import judge, usable_fit
+from robot_sysid.diagnosis import Finding
+from robot_sysid.diagnosis.gate import judge, require_acceptable, usable_fit
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.records import Motion, Recording
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress
 from tests.diagnosis.conftest import findings_of, found_in, read_log, slow
 
@@ -102,3 +104,46 @@ def test_a_payload_is_refused_for_what_its_logs_are_refused_for(four_joints, fac
         judged = judge(robot, read, asked, Progress(), sides)
         with pytest.raises(InputError, match="times those of the model's masses"):
             usable_fit(judged, ("torque-scale",), Progress())
+
+
+def with_jumps(log):
+    """Return a log whose clock jumps ahead by 50 ms three times."""
+    jumps = np.zeros(len(log))
+    jumps[[600, 1200, 2000]] = 0.05
+    return replace(log, time=log.time + np.cumsum(jumps))
+
+
+def test_what_needs_less_of_a_log_comes_first(four_joints):
+    """Samples before columns: a remedy of columns is none while samples are doubted."""
+    robot = four_joints.robot
+    signs = np.where(np.arange(4) == 2, -1.0, 1.0)
+    both = with_jumps(replace(four_joints.log, tau=signs * four_joints.log.tau))
+    judged = judge(
+        robot, [read_log(robot, both)], Question(EstimationOptions()), Progress()
+    )
+    assert {finding.about for finding in judged.findings} == {"clock", "sign"}
+    with pytest.raises(InputError, match="the clock jumps .* opposite sign") as error:
+        usable_fit(judged, (), Progress())
+    assert not error.value.options
+    with pytest.raises(InputError, match="opposite sign") as error:
+        usable_fit(judged, ("clock",), Progress())
+    assert "clock" not in str(error.value)
+
+
+def test_a_torque_that_was_computed_is_named_before_a_model_that_is_off(four_joints):
+    truth = truth_of(four_joints.robot, seed=6, wrong_links=0.3)
+    (finding,) = found_in(truth, tau=truth.rigid)
+    assert finding.about == "computed"
+
+
+def test_an_accepted_doubt_is_said_and_passes_no_refusal(four_joints):
+    robot = four_joints.robot
+    jumping = read_log(robot, with_jumps(four_joints.log))
+    judged = judge(robot, [jumping], Question(EstimationOptions()), Progress())
+    _, notes = usable_fit(judged, ("clock",), Progress())
+    assert any(note.startswith("accepted: the clock jumps") for note in notes)
+    refusal = Finding(Level.REFUSES, FaultName.SIGN, "a sign is wrong")
+    other = Finding(Level.REFUSES, FaultName.ORDER, "joints are exchanged")
+    found = (*judged.findings, refusal, other)
+    with pytest.raises(InputError, match="--accept clock accepts doubts of that name"):
+        require_acceptable([jumping], found, ("clock",))

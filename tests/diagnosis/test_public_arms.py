@@ -12,8 +12,20 @@ from rigs.arms.wrong_arms import ARMS, link_torque, truth_of
 from rigs.files.places import MODELS
 from robot_sysid.model.bodies import write_body
 from robot_sysid.diagnosis.misfits import lost_links
+from rigs.arms.motions import one_at_a_time
+from rigs.arms.wrong_arms import ARMS, draw_arm, truth_of
+from rigs.files.places import MODELS
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    gravity_vector,
+    turn_gravity,
+)
+from robot_sysid.estimate.fit import solve
+from robot_sysid.estimate.restricted_fit import errors_of, fit_file
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Level
+from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
 from tests.diagnosis.conftest import findings_of, found_in, judged
 from tests.diagnosis.test_gate import swings
 
@@ -130,3 +142,31 @@ def test_a_forearm_with_a_quarter_of_its_mass_is_named_and_its_error_widens(trut
 def test_links_that_are_off_as_usual_are_not(truth):
     answer = judged(truth.robot, truth.log)
     assert answer.findings == () and answer.fit.question.odd_link is None
+@pytest.mark.parametrize("seed", [7, 8])
+def test_no_possible_arm_fits_a_joint_at_a_time_better_than_the_estimate(seed):
+    """The true one is possible, and is likelier than one whose rotors are held at zero in vain."""
+    robot = load_robot_model(MODELS / ARMS["ur5e"])
+    truth = draw_arm(robot, "real", False, 30.0, False, seed, one_at_a_time)
+    fitted = judged(robot, truth.log).fit
+    values = truth.arm.values(fitted.names)
+    is_of_body = np.isin(range(len(values)), fitted.equations.bodies)
+    values, _ = solve(fitted.normal, values, ~is_of_body)
+    assert not np.any(fitted.equations.crossing(values))
+    costs = []
+    for each in (fitted.values, values):
+        change = np.append(each, -1.0)
+        costs.append(change @ fitted.normal @ change)
+    assert costs[0] < costs[1] + 3.0
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_a_file_of_a_joint_at_a_time_is_better_than_the_model(seed):
+    """Rotors and the inertia of links behind them are known as a sum alone; a file has both."""
+    robot = load_robot_model(MODELS / ARMS["gen3"])
+    truth = draw_arm(robot, "real", False, 30.0, seed % 2 == 0, seed, one_at_a_time)
+    file = fit_file(judged(robot, truth.log).fit)
+    errors = errors_of(file).as_used
+    assert errors.after.relative_error < 0.5 * errors.before.relative_error
+    gravity = turn_gravity(file.point.gravity, [file.by_name[n] for n in TILT_NAMES])
+    cosine = gravity @ gravity_vector(robot) / np.sum(gravity**2)
+    assert np.degrees(np.arccos(min(cosine, 1.0))) < INTERVAL * GRAVITY_IN_FILE

@@ -11,12 +11,21 @@ from hypothesis import strategies as st
 
 import robot_sysid
 from rigs.arms import small_arms
+from rigs.arms.motions import sampled, smooth_step
 from rigs.logs.log_files import JOINTS
 from robot_sysid.diagnosis.stretches import failed_sensors, leave_out
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.frozen import Stretch
-from tests.diagnosis.conftest import FOUR_AXES, JOINT, NOISY, SAMPLES, found_in, judged
+from tests.diagnosis.conftest import (
+    FOUR_AXES,
+    JOINT,
+    NOISY,
+    SAMPLES,
+    findings_of,
+    found_in,
+    judged,
+)
 
 BEGIN, END = 4.0, 5.2
 """When a fault acts [s]."""
@@ -167,6 +176,29 @@ def test_coarse_steps_and_joints_at_rest_are_no_failed_sensors():
     resting = NOISY.q.copy()
     resting[:600, 1] = resting[600, 1]
     assert [*failed_sensors([replace(NOISY, q=resting)])] == []
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_joint_that_friction_holds_with_one_torque_is_no_failed_sensor(
+    four_joints, joint
+):
+    """A controller's dead zone asks it for the same torque while other joints move."""
+    motion = four_joints.motion
+    count = len(motion.time) // 3
+    goes = smooth_step((np.arange(len(motion.q)) - count) / count)
+    q = motion.q.copy()
+    q[:, joint] = q[0, joint] + goes * (q[:, joint] - q[0, joint])
+    moved = sampled(motion.time, q)
+    qd = moved.qd.copy()
+    qd[:count, joint] = 0.0
+    noise = 0.01 * np.random.default_rng(0).standard_normal(q.shape)
+    log = four_joints.arm.log(replace(moved, qd=qd), noise)
+    # Between the least and the largest torque.
+    tau = log.tau.copy()
+    tau[:count, joint] = np.median(tau[:, joint])
+    log = replace(log, tau=tau)
+    assert not [*failed_sensors([log])]
+    assert findings_of(four_joints.robot, log) == ()
 
 
 def test_an_identification_uses_the_rest_and_carries_the_note(four_joints, tmp_path):

@@ -59,7 +59,10 @@ def is_admitted(values, problem):
 
 @given(SEEDS)
 def test_the_best_is_found_where_it_is_known(seed):
-    """Bodies on the edge of the admitted ones, and residuals whose gradient points outwards."""
+    """On the edge of the admitted bodies, at a bound, and with a gradient that points outwards.
+
+    Beside impossible bodies, other parameters may cross their bounds and stay inside here.
+    """
     rng = np.random.default_rng(seed)
     thetas = [random_body(rng) for _ in range(2 * LINKS)]
     sizes = np.concatenate((*map(sizes_of, thetas[LINKS:]), np.ones(FRICTION)))
@@ -77,10 +80,19 @@ def test_the_best_is_found_where_it_is_known(seed):
         outwards = np.linalg.solve(root.T, axes[:, 0])
         for index, unit in zip(link, np.eye(10)):
             gradient[index] = outwards @ spatial.pseudo_inertia(unit) @ outwards
+    lower = np.full(SIZE, -np.inf)
+    upper = np.full(SIZE, np.inf)
+    lower[-3:] = best[-3:] - (0.0, 0.1, 1.0)
+    upper[-2:] = best[-2:] + (0.0, 1.0)
+    gradient[-3:-1] = rng.uniform(0.0, 100.0, 2) * (1.0, -1.0)
     residual = np.linalg.lstsq(matrix.T, gradient, rcond=None)[0]
     residual *= 10.0 ** rng.uniform(0.0, 3.0) / np.linalg.norm(residual)
     right = matrix @ best - residual
-    values = consistent_least_squares(matrix, right, *problem).values
+    bounds = lower, upper
+    found = consistent_least_squares(matrix, right, *problem, bounds=bounds)
+    values = found.values
+    assert np.all((lower <= values) & (values <= upper))
+    assert np.all((values == lower) | (values == upper), where=~found.is_inside)
     excess = np.sum((matrix @ values - right) ** 2) - np.sum(residual**2)
     assert -1e-3 < excess < 3.0 + 1e-3
 

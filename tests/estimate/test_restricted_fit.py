@@ -17,6 +17,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     with_gravity,
 )
+from robot_sysid.estimate.fit import last_link_scale, settled_values
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.options import FILE_FRICTION as FRICTION
 from robot_sysid.estimate.options import FILE_GRAVITY as GRAVITY
@@ -29,8 +30,6 @@ from robot_sysid.estimate.restricted_fit import (
     errors_on,
     fit_file,
     gravity_in,
-    last_link_scale,
-    settled_values,
 )
 from robot_sysid.records import InertialParameters, SubtreeBody
 

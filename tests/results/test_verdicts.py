@@ -20,7 +20,13 @@ from robot_sysid.records.messages import Level
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results import reasons
 from robot_sysid.results.notes import wrong_links
-from robot_sysid.results.rules import OF_ARM, OF_FILES, OF_PAYLOAD, PayloadEvidence
+from robot_sysid.results.rules import (
+    OF_ARM,
+    OF_FILES,
+    OF_OTHER_MOTIONS,
+    OF_PAYLOAD,
+    PayloadEvidence,
+)
 from robot_sysid.results.self_test import OF_SELF_TEST, SelfTestEvidence
 from robot_sysid.results.verdicts import MEANINGS, Verdict, judge, verdict_of
 
@@ -179,6 +185,28 @@ def test_a_file_that_is_worse_as_it_is_used_is_refused_whatever_its_offsets_expl
     assert better.about is Verdict.BETTER
 
 
+@pytest.mark.parametrize(("used", "is_usable"), [(0.49, True), (0.51, False)])
+def test_a_file_whose_errors_are_half_of_the_torque_is_refused_as_it_is_used(
+    used, is_usable
+):
+    """Offsets are errors then, however much larger those of the model were."""
+    model = prediction(0.9)
+    errors = made.errors_from(model, prediction(0.1), model, prediction(used))
+    assert verdict_of(judge(OF_FILES, [errors])).is_trustworthy == is_usable
+
+
+@pytest.mark.parametrize(("share", "is_usable"), [(0.49, True), (0.51, False)])
+def test_no_file_is_usable_that_is_wrong_by_half_of_the_torque_on_other_motions(
+    share, is_usable
+):
+    """It may be the best that a log of one joint shows, and far better than the model."""
+    errors = made.elsewhere(after=share)
+    remarks = [Verdict.BETTER.remark(), *judge(OF_OTHER_MOTIONS, errors)]
+    verdict = verdict_of(remarks)
+    assert verdict.is_trustworthy == is_usable
+    assert ("usable" in verdict.use) == is_usable
+
+
 def judge_fit(fitted, *tests):
     """Return (verdict, reasons) of a fit and of its errors in other rows."""
     misfits = reasons.torque_misfits(fitted, tests)
@@ -261,7 +289,7 @@ def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
 
 
 def test_every_verdict_has_a_meaning_and_a_condition_that_leads_to_it():
-    rules = (*OF_ARM, *OF_PAYLOAD, *OF_SELF_TEST)
+    rules = (*OF_ARM, *OF_OTHER_MOTIONS, *OF_PAYLOAD, *OF_SELF_TEST)
     assert {rule.verdict for rule in rules} == {*Verdict} == MEANINGS.keys()
 
 
