@@ -247,8 +247,7 @@ def saturation_findings(
 
 
 def unsigned_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
-    """Yield the finding that torques have no sign: they reach zero again and again, and none is ever
-    on its other side.
+    """Yield the finding that torques have no sign: they come down to zero, and never pass it.
 
     Weight may hold a joint, or a whole arm, on one side. Where its torque comes down to nothing,
     friction, which turns round with the motion, and noise take it to the other side.

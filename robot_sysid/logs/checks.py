@@ -27,6 +27,7 @@ from robot_sysid.logs.table import (
     separate_recordings,
 )
 from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
+from robot_sysid.records.data import shift_behind
 from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
@@ -73,6 +74,13 @@ SMALLEST_JUMP = 0.5
 """Step of a position that is no encoder's noise [rad or m]."""
 JUMP_SPEED = 100.0
 """Speed that no joint has within one step [rad/s or m/s]."""
+BESIDE = 5
+"""Steps on each side with which one is compared."""
+JUMP_OVER_BESIDE = 8.0
+"""Speed of a step, over that of the fastest of those beside it and over the joint's typical one,
+above which rows are missing: as many at least. Noise makes three times as much."""
+MOST_CUTS = 10
+"""Places at which rows are missing up to which a log is cut there."""
 LEAST_TRAVEL = 0.01
 """Travel below which a joint does not move [rad or m]."""
 # What positions of a hinge may be that are too large for degrees.
@@ -129,6 +137,9 @@ def read_recording(
         )
         notes += clock_notes(table, recording, lines)
         require_units(recording, robot, columns)
+        recording, lines, spike_notes = without_spikes(table, recording, lines)
+        recording, cut_notes = cut_at_lost_rows(table, recording, lines)
+        notes += [*spike_notes, *cut_notes]
         require_no_jumps(table, recording, lines)
         notes += rest_notes(recording, robot)
         notes += torque_notes(recording)
@@ -405,10 +416,68 @@ def require_units(recording: Recording, robot: RobotModel, columns: ColumnMap) -
         )
 
 
+def without_spikes(
+    table: LogTable, recording: Recording, lines: Lines
+) -> tuple[Recording, Lines, list[str]]:
+    """Return a recording without single rows in which a position jumps and is back, and a note.
+
+    More of them are no single readings that went wrong: nothing is left out then.
+    """
+    step = np.abs(np.diff(recording.q, axis=0))
+    is_far = step > jump_sizes(recording)
+    back = np.abs(recording.q[2:] - recording.q[:-2])
+    is_back = back < SMALLEST_JUMP
+    is_spike = np.any(is_far[:-1] & is_far[1:] & is_back, axis=1)
+    count = np.count_nonzero(is_spike)
+    if not 0 < count <= MOST_UNREADABLE * len(recording):
+        return recording, lines, []
+    kept = np.flatnonzero(~np.pad(is_spike, 1))
+    wrong = lines[1:-1][is_spike]
+    note = f"left out rows in which a position jumps and is back: {count}"
+    where = f"(first: {table.cite(wrong[:1])})"
+    arrays = {name: values[kept] for name, values in recording.arrays().items()}
+    return replace(recording, **arrays), lines[kept], [f"{note} {where}"]
+
+
+def cut_at_lost_rows(
+    table: LogTable, recording: Recording, lines: Lines
+) -> tuple[Recording, list[str]]:
+    """Return a recording that is cut where rows are missing and its time does not show it.
+
+    There, several joints jump at once, by far more than in any step beside. What is on both sides
+    is right; only the time between them is not known. Of one joint that jumps alone the zero may
+    have been set. Where there are many such places, the clock is judged (``diagnosis.samples``).
+    """
+    step = np.diff(recording.time)
+    speed = np.abs(np.diff(recording.q, axis=0)) / step[:, None]
+    if len(speed) <= 2 * BESIDE:
+        return recording, []
+    usual = np.array([np.median(of[of > 0.0]) if np.any(of) else 0.0 for of in speed.T])
+    middle = slice(BESIDE, len(speed) - BESIDE)
+    before = beside = np.zeros_like(speed[middle])
+    for back in range(1, BESIDE + 1):
+        before = np.maximum(before, speed[BESIDE - back : len(speed) - BESIDE - back])
+        beside = np.maximum(beside, speed[BESIDE + back : len(speed) - BESIDE + back])
+    beside = np.maximum(np.maximum(before, beside), usual)
+    # What repeats its value for a while is left out (``diagnosis.stretches``).
+    jumps = (speed[middle] > JUMP_OVER_BESIDE * beside) & (before > 0.0)
+    is_gap = step[middle] > GAP_STEPS * np.median(step)
+    places = BESIDE + np.flatnonzero((np.sum(jumps, axis=1) > 1) & ~is_gap)
+    if not 0 < len(places) <= MOST_CUTS:
+        return recording, []
+    time = recording.time.copy()
+    for place in places.tolist():
+        time[place + 1 :] += shift_behind(time[place], time[place + 1])
+    note = (
+        f"rows are missing before {table.cite(lines[1 + places])} that the time does not show, as "
+        "positions jump there: the log is cut there"
+    )
+    return replace(recording, time=time), [note]
+
+
 def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> None:
-    """Raise InputError for single positions that no joint can reach within one step."""
-    # Noise adds to the speed of a joint.
-    threshold = np.maximum(SMALLEST_JUMP, JUMP_SPEED * np.diff(recording.time))
+    """Raise InputError for positions that no joint can reach within one step."""
+    threshold = jump_sizes(recording)[:, 0]
     for name, q in zip(recording.joint_names, recording.q.T):
         step = np.abs(np.diff(q))
         # What repeats its value for a while is left out (``diagnosis.stretches``).
@@ -416,8 +485,16 @@ def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> Non
         if np.any(is_jump):
             where = table.cite(lines[1:][is_jump])
             raise InputError(
-                f"the position of joint {name} jumps at {where}; delete the bad rows"
+                f"the position of joint {name} jumps at {where} and stays there, as where its "
+                "zero was set, or its encoder lost count; use the part of the log before it, or "
+                "behind it"
             )
+
+
+def jump_sizes(recording: Recording) -> Array:
+    """Return the way (N - 1, 1) that no joint makes in each step; noise adds to it."""
+    most = np.maximum(SMALLEST_JUMP, JUMP_SPEED * np.diff(recording.time))
+    return np.asarray(most[:, None])
 
 
 def rest_notes(recording: Recording, robot: RobotModel) -> Iterator[str]:

@@ -20,6 +20,7 @@ from rigs.logs.log_files import (
     table,
     write,
 )
+from robot_sysid.signals.resampling import split_at_gaps
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
 RUBBISH = (9, 20, 31, 42, 53)
@@ -100,9 +101,9 @@ ERRORS: dict[str, tuple[Callable, str]] = {
     ),
     "degrees": (changing(Q, np.degrees), "look like degrees.*--units deg"),
     "at rest": (changing(Q, lambda q: 0.3 + 1e-3 * q), "at rest.*no joint moves"),
-    "spike": (
-        changing((33, 3), lambda q: q + 2.0),
-        "joint wrist.*jumps at line 35 and 1 more",
+    "zero set": (
+        changing(np.s_[200:, 3], lambda q: q + 2.0),
+        "joint wrist jumps at line 202 and stays there.*use the part of the log before",
     ),
     "too few": (lambda rows: rows[:5], "only 5 usable rows"),
 }
@@ -176,6 +177,25 @@ def test_even_rows_with_other_stamps_are_at_even_instants(tmp_path, stamped):
     np.testing.assert_allclose(np.diff(log.time), 5e-3, rtol=2e-3)
 
 
+@pytest.mark.parametrize("first", [900, 1000, 1130])
+@pytest.mark.parametrize("count", [20, 200])
+def test_a_log_is_cut_where_rows_are_missing_behind_a_counted_time(
+    tmp_path, first, count
+):
+    data = motion(2600)
+    rows = np.delete(table(data), slice(first, first + count), axis=0)
+    rows[:, 0] = data.time[: len(rows)]
+    log = read_table(tmp_path, rows)
+    assert f"rows are missing before line {first + 2} that the time" in notes_of(log)
+    before, after = split_at_gaps(log)
+    np.testing.assert_array_equal(before.q, data.q[:first])
+    np.testing.assert_array_equal(after.q, data.q[first + count :])
+    # Of one joint that jumps alone, the zero may have been set.
+    rows = table(data)
+    rows[first:, 2] += 0.3
+    assert "missing" not in notes_of(read_table(tmp_path, rows))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_uneven_rows_keep_their_stamps(tmp_path, seed):
     """Also where rows are missing, and the stamps that are left jitter."""
@@ -212,6 +232,10 @@ NOTES: dict[str, tuple[Callable, str]] = {
     "cut off": (
         lambda rows: [*rows[:-1].tolist(), rows[-1, :4].tolist()],
         r"left out rows that are no rows of numbers: 1 \(first: line 401: 4 cells instead of 7\)",
+    ),
+    "spike": (
+        changing((33, 3), lambda q: q + 2.0),
+        r"left out rows in which a position jumps and is back: 1 \(first: line 35\)",
     ),
     "one at rest": (
         changing(np.s_[:, 2], lambda q: 0.0 * q),
