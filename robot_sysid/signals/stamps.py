@@ -39,9 +39,10 @@ def even_time(time: Array, q: Array) -> Array | None:
     is_changed = False
     for rows in stretches(time):
         its_time = time[rows]
-        instants = fitted_instants(its_time)
-        if np.all(np.diff(its_time) > 0.0) and is_even(its_time):
+        is_rising = np.all(np.diff(its_time) > 0.0)
+        if len(its_time) < 2 or (is_rising and is_even(its_time)):
             continue
+        instants = fitted_instants(its_time)
         if instants is None or not is_smoother(q[rows], its_time, instants):
             return None
         even[rows] = instants

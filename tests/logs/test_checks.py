@@ -233,6 +233,10 @@ NOTES: dict[str, tuple[Callable, str]] = {
         lambda rows: [*rows[:-1].tolist(), rows[-1, :4].tolist()],
         r"left out rows that are no rows of numbers: 1 \(first: line 401: 4 cells instead of 7\)",
     ),
+    "a stamp ahead": (
+        changing((200, 0), lambda time: time + 100.0),
+        "time starts again at line 203",
+    ),
     "spike": (
         changing((33, 3), lambda q: q + 2.0),
         r"left out rows in which a position jumps and is back: 1 \(first: line 35\)",
