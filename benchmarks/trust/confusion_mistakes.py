@@ -293,6 +293,19 @@ def denormal_joint(scene: Scene) -> Scene:
     return joint_times(None, DENORMAL, scene)
 
 
+def constant_column(scene: Scene) -> Scene:
+    """Return a log in which the torque of a joint that carries little has one value throughout."""
+    joint = light_joint(scene)
+    tau = scene.log.tau.copy()
+    tau[:, joint] = tau[0, joint]
+    return blame(with_torques(scene, tau), joint)
+
+
+def signed_by_motion(scene: Scene) -> Scene:
+    """Return a log of currents without a sign, to which that of the motion was given."""
+    return with_torques(scene, np.abs(scene.log.tau) * np.sign(scene.motion.qd))
+
+
 # ---- positions and gears
 
 
@@ -388,6 +401,89 @@ def late_stamps(scene: Scene) -> Scene:
     time = scene.log.time
     late = scene.rng.uniform(0.0, float(time[1] - time[0]), len(time))
     return replace(scene, log=replace(scene.log, time=time + late))
+
+
+def with_stamps(scene: Scene, time: Array) -> Scene:
+    """Return the scene with other time stamps (N,) in its log [s]."""
+    return replace(scene, log=replace(scene.log, time=time))
+
+
+def rounded_stamps(scene: Scene) -> Scene:
+    """Return a right log with time stamps of two digits, two or three rows each."""
+    return with_stamps(scene, np.round(scene.log.time, 2))
+
+
+def stamps_of_bursts(scene: Scene) -> Scene:
+    """Return a right log whose rows arrive sixteen at a time."""
+    last = np.arange(len(scene.log)) // 16 * 16 + 15
+    return with_stamps(scene, (last + 1.0) * float(scene.log.time[1]))
+
+
+def rows_twice_later(scene: Scene) -> Scene:
+    """Return a log in which a tenth of the rows is written twice, half a period later."""
+    time = scene.log.time
+    count = len(time)
+    twice = np.sort(scene.rng.choice(count - 1, count // 10, replace=False))
+    rows = np.concatenate([np.arange(count), twice])
+    stamps = np.concatenate([time, time[twice] + 0.5 * float(time[1])])
+    order = np.argsort(stamps, kind="stable")
+    return with_rows(scene, rows[order], stamps[order])
+
+
+def exchanged_stretches(scene: Scene) -> Scene:
+    """Return a log in which a stretch of a second is written after the second behind it."""
+    rows = np.arange(len(scene.log))
+    second = round(1.0 / float(scene.log.time[1]))
+    start = int(scene.rng.integers(second, len(rows) - 3 * second))
+    first, then = (
+        slice(start, start + second),
+        slice(start + second, start + 2 * second),
+    )
+    rows[first], rows[then] = rows[then].copy(), rows[first].copy()
+    return with_rows(scene, rows)
+
+
+def shuffled_rows(scene: Scene) -> Scene:
+    """Return a log that was sorted by another column than time."""
+    return with_rows(scene, np.argsort(scene.log.q[:, 1]))
+
+
+def clock_from_zero(scene: Scene) -> Scene:
+    """Return a log whose clock starts again in the middle."""
+    time = scene.log.time
+    return with_stamps(scene, time - (time >= 0.5 * time[-1]) * 0.5 * time[-1])
+
+
+def clock_set_back(scene: Scene) -> Scene:
+    """Return a log whose clock is set back by half a second in its middle third."""
+    time = scene.log.time
+    start = scene.rng.uniform(0.35, 0.65) * time[-1]
+    return with_stamps(scene, time - 0.5 * (time > start))
+
+
+def stamp_ahead(scene: Scene) -> Scene:
+    """Return a log in which one stamp is a hundred seconds ahead."""
+    time = scene.log.time.copy()
+    time[scene.rng.integers(100, len(time) - 100)] += 100.0
+    return with_stamps(scene, time)
+
+
+def rows_of_spikes(scene: Scene) -> Scene:
+    """Return a log in which five single positions are off by a radian."""
+    q = scene.log.q.copy()
+    rows = scene.rng.choice(np.arange(10, len(q) - 10), 5, replace=False)
+    q[rows, scene.rng.integers(0, q.shape[1], 5)] += 1.0
+    return with_positions(scene, q)
+
+
+def with_velocities(factor: float, scene: Scene) -> Scene:
+    """Return a log with columns of velocities, times a factor."""
+    return replace(scene, log=replace(scene.log, qd=factor * scene.motion.qd))
+
+
+def time_twice_beside_velocities(scene: Scene) -> Scene:
+    """Return a log whose time is twice too long, with columns of right velocities."""
+    return time_times(2.0, with_velocities(1.0, scene))
 
 
 # ---- right logs of other motions
@@ -803,6 +899,12 @@ TORQUE_MISTAKES = {
     "exchanged_wrists": Cause(exchanged_wrists, (("order",),)),
     "early_by_20_ms": Cause(partial(late_by, -LATE_JOINT), (("delay",),)),
     "late_joint_by_20_ms": joint_cause(late_joint_by_20_ms, "delay"),
+    "constant_column": Cause(
+        constant_column, (("zero torque",),), "the same in every row|constant"
+    ),
+    "signed_by_motion": Cause(
+        signed_by_motion, (("unsigned",),), "without a sign|sign of the (motion|speed)"
+    ),
 }
 """Mistakes in the torque."""
 TORQUE_CLASSES = {
@@ -845,6 +947,20 @@ TIME_MISTAKES = {
         rows_twice, (("clock",),), "written twice|same row|identical|duplicate"
     ),
     "swapped_rows": Cause(swapped_rows, (("clock",),), r"\bsort|out of order|swapped"),
+    "rows_twice_later": Cause(rows_twice_later, (("clock",),), "written twice|repeat"),
+    "exchanged_stretches": Cause(
+        exchanged_stretches, (("clock",),), r"\bsort|out of order"
+    ),
+    "shuffled_rows": Cause(shuffled_rows, (("clock",),), r"\bsort|out of order"),
+    "clock_from_zero": Cause(clock_from_zero, (("clock",),), "time starts again"),
+    "clock_set_back": Cause(
+        clock_set_back, (("clock",),), "backwards in time|set back"
+    ),
+    "stamp_ahead": Cause(
+        stamp_ahead, (("clock",),), "(stamp|time|row).*(ahead|backwards|wrong|off)"
+    ),
+    "rows_of_spikes": Cause(rows_of_spikes, (("position",),), "position.* jumps"),
+    "time_twice_beside_velocities": Cause(time_twice_beside_velocities, (("clock",),)),
 }
 """Mistakes of clocks and of the rows of a file."""
 MODEL_MISTAKES = {
@@ -912,6 +1028,11 @@ RIGHT_LOGS = {
     "coarse_encoders": Cause(coarse_encoders, ()),
     "fifty_hertz": Cause(seldom, ()),
     "coarse_torque": Cause(coarse_torque, ()),
+    "rounded_stamps": Cause(rounded_stamps, ()),
+    "stamps_of_bursts": Cause(stamps_of_bursts, ()),
+    # No estimate uses recorded velocities.
+    "velocities_in_degrees": Cause(partial(with_velocities, np.degrees(1.0)), ()),
+    "velocities_turned": Cause(partial(with_velocities, -1.0), ()),
 }
 """Right logs under odd conditions, which ``benchmarks.trust.right_logs`` looks at as well."""
 if hasattr(mujoco.MjsJoint, "springyield"):  # Since MuJoCo 4.

@@ -29,8 +29,8 @@ from robot_sysid.diagnosis.columns import (
     positions_of_joints,
     zero_of,
 )
-from robot_sysid.diagnosis.fault_columns import fault_columns
-from robot_sysid.diagnosis.plausibility import fits
+from robot_sysid.diagnosis.fault_columns import INERTIAL, fault_columns
+from robot_sysid.diagnosis.plausibility import fits, model_torque
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -39,6 +39,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.fit import Equations, Fit, equations_of, solve
+from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import MOTORS, ArmTerms, Point, Term
@@ -89,6 +90,20 @@ MOUNTING_TILT = 15.0
 true one, usually half as much [degrees]."""
 FULL_TURN = 360.0
 """[degrees]"""
+RATIOS = np.array([0.2, 0.25, 1.0 / 3.0, 0.4, 0.5, 2.0, 2.5, 3.0, 4.0, 5.0])
+"""Ratios of usual rates of controllers; loops of 5 ms are taken for ones of 1 ms, hardly more."""
+NEAR_RATIO = 0.08
+"""Relative distance within which a factor of time is such a ratio: links that are off by 15 % of
+their inertia make as much of it."""
+INERTIA_OFF = 0.5
+"""Share by which inertia may be off between two factors of time that are tried, about."""
+KEPT_WEIGHT = 0.7
+"""Share of the model's weight, as a median of the joints, below which a balancer carries a part of
+it, which is as much inertia too much: a wrong time leaves weight as it is, and so many links are
+not 30 % lighter than in the model."""
+LEAST_INERTIA = 0.1
+"""Least share of inertia that a factor of time makes up for at once; torque of weight alone has
+none at all."""
 
 
 @dataclass(frozen=True)
@@ -190,9 +205,8 @@ class ColumnSearch:
         """
         arm = self.arm
         gravity = arm.start().gravity if reading.gravity is None else reading.gravity
-        key = tuple(
-            each.tobytes() for each in (reading.position, reading.zeros, gravity)
-        )
+        numbers = (reading.position, reading.zeros, gravity, np.array(reading.time))
+        key = tuple(each.tobytes() for each in numbers)
         if key not in self._kept:
             if len(self._kept) >= KEPT:
                 self._kept.clear()
@@ -427,11 +441,14 @@ def correction_of(
     for number in numbers if found else ():
         reading = Reading.of(robot.n_joints, found[:number])
         findings = [*column_findings(robot, found[:number], reading)]
-        if reading.gravity is None:
-            after = refit(fitted, reading)
-        else:
+        if reading.gravity is not None:
             after, turned = mounting_correction(fitted, reading, reading.gravity)
             findings += turned
+        elif reading.time != 1.0:
+            after, timed = time_correction(fitted, reading)
+            findings += timed
+        else:
+            after = refit(fitted, reading)
         if fits(after):
             break
     if findings:
@@ -464,6 +481,38 @@ def column_findings(
                 # About an upright axis, a base that is turned is the same.
                 remedy += f", or the direction of {option_name('gravity')}"
             yield Finding(Level.REFUSES, FaultName.ZERO, text, remedy)
+
+
+def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:
+    """Return the fit with time by another rate, and the finding, if it is.
+
+    From one factor on, time is multiplied by what the torque of inertia says, which grows with its
+    square; the ratio of two usual rates is taken in place of a number that is next to it.
+    """
+    for _ in range(3):
+        after = refit(fitted, reading)
+        offer = Offers(after).weigh(Effect((INERTIAL,), np.array([[INERTIA_OFF]])))
+        inertia = max(1.0 + float(offer.values[0]), LEAST_INERTIA)
+        reading = replace(reading, time=reading.time / np.sqrt(inertia))
+    distances = np.abs(np.log(reading.time / RATIOS))
+    if np.min(distances) < NEAR_RATIO:
+        reading = replace(reading, time=float(RATIOS[np.argmin(distances)]))
+    factor = reading.time
+    finding = Finding(
+        Level.REFUSES,
+        FaultName.CLOCK,
+        f"time in the log is {1.0 / factor:.3g} times as long as it was, as the torque of inertia "
+        "shows beside that of gravity",
+        "record the controller's own time stamps, or scale these with a line in "
+        f"{option_name('columns', 'FILE')}: time = {factor:.4g} * TITLE",
+    )
+    after = refit(fitted, reading)
+    _, shares, is_loaded = model_torque(after)
+    weight = np.median(shares[is_loaded]) if np.any(is_loaded) else 1.0
+    # Beyond these, torque lacks inertia or weight.
+    exists = RATIOS[0] <= factor <= RATIOS[-1]
+    is_whole = KEPT_WEIGHT < weight < 1.0 / KEPT_WEIGHT
+    return after, [finding] if exists and is_whole else []
 
 
 def mounting_correction(

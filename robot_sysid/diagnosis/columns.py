@@ -1,8 +1,8 @@
 """The table of mistakes in a log's columns, and how a log is read without them.
 
-Signs, exchanged joints, turned zeros, degrees and another mounting of the base change a log by
-steps, not by a small amount, so that they have no column in the fit: each is another reading of the
-log. ``column_search`` finds the readings that fit.
+Signs, exchanged joints, turned zeros, degrees, another mounting of the base and time by another
+rate change a log by steps, not by a small amount, so that they have no column in the fit: each is
+another reading of the log. ``column_search`` finds the readings that fit.
 
 Throughout, n is the number of joints.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,8 @@ OF_COLUMNS = (FaultName.SIGN, FaultName.ORDER, FaultName.ANGLE_UNIT)
 """Mistakes whose words are their own, and which other columns put right."""
 _TURNS = np.radians((90.0, -90.0, 180.0))
 """Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
+_TIMES = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
+"""Factors of time that are tried; the one that is right is found from the nearest."""
 ZERO_STEP = np.radians(30.0)
 """Step of the angles of a zero that are tried first: one that is off by half a step reads better
 with it than with none."""
@@ -45,12 +48,14 @@ class Reading:
         torque: (n, n) of torques.
         zeros: (n,) added to positions [rad].
         gravity: (3,) [m/s^2]; None for the model's.
+        time: by which times are multiplied.
     """
 
     position: Array
     torque: Array
     zeros: Array
     gravity: Array | None = None
+    time: float = 1.0
 
     @classmethod
     def of(cls, n: int, mistakes: Sequence[Mistake] = ()) -> Reading:
@@ -63,6 +68,7 @@ class Reading:
                 right.torque @ reading.torque,
                 right.position @ reading.zeros + right.zeros,
                 reading.gravity if right.gravity is None else right.gravity,
+                right.time * reading.time,
             )
         return reading
 
@@ -80,8 +86,8 @@ class Reading:
         return recording.using(
             recording.is_used @ (position != 0.0),
             q=recording.q @ position + self.zeros,
-            qd=recording.qd @ position,
-            qdd=recording.qdd @ position,
+            qd=recording.qd @ position / self.time,
+            qdd=recording.qdd @ position / self.time**2,
             tau=recording.tau @ self.torque.T,
             touched=(),
             # The direction of friction is that of the speed.
@@ -127,6 +133,7 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     yield from angle_units(robot, moving)
     yield from zeros(robot, moving)
     yield from mountings(robot)
+    yield from time_bases(robot)
 
 
 def mistakes_of_light(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
@@ -172,7 +179,7 @@ def of_columns(
     name: FaultName, text: str, matrix: Array, quantities: Sequence[str]
 ) -> Mistake:
     """Return a mistake that one matrix (n, n) puts right, of positions, torques or both."""
-    changed = dict.fromkeys(quantities, matrix)
+    changed: dict[str, Any] = dict.fromkeys(quantities, matrix)
     return Mistake(name, text, replace(Reading.of(len(matrix)), **changed))
 
 
@@ -274,3 +281,13 @@ def mountings(robot: RobotModel) -> Iterator[Mistake]:
         if size * any(axis):
             gravity = size * np.array(axis) / np.linalg.norm(axis)
             yield Mistake(FaultName.TILT, "", replace(none, gravity=gravity))
+
+
+def time_bases(robot: RobotModel) -> Iterator[Mistake]:
+    """Yield times by another rate: what is off by less is a fault of the table, a small change.
+
+    Where there is no gravity, another rate is other masses.
+    """
+    none = Reading.of(robot.n_joints)
+    for factor in _TIMES if np.any(gravity_vector(robot)) else ():
+        yield Mistake(FaultName.CLOCK, "", replace(none, time=factor))

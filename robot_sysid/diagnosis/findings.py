@@ -53,7 +53,7 @@ LIKE_GRAVITY = (
     FaultName.PAYLOAD_STEP,
 )
 """Faults that may stand for gravity in another direction."""
-MISTAKES = (*OF_COLUMNS, FaultName.ZERO, FaultName.TILT)
+MISTAKES = (*OF_COLUMNS, FaultName.ZERO, FaultName.TILT, FaultName.CLOCK)
 """What another reading of a log puts right."""
 UNMEASURED = (FaultName.COMPUTED, FaultName.TORQUE_UNIT)
 """What is no torque of this arm, or in no known unit, shows nothing else."""

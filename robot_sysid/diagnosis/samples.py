@@ -72,6 +72,12 @@ NEAR_END = 0.02
 """Distance from an end of a channel's range that is near it, as a share of the range."""
 SATURATED = 0.005
 """Share of samples at one value, the end of the range, above which a sensor saturates."""
+NEAR_ZERO = 0.02
+"""Torque that is next to none, as a share of the joint's largest."""
+MOST_TOUCHES = 5
+"""Times that a joint's torque comes down to none and is on the same side afterwards, by chance."""
+LEAST_TRAVEL = 0.01
+"""Travel below which a joint does not move [rad or m]."""
 AT_END_OVER_NEAR = 4.0
 """Samples at the end of the range over those near it that chance does not make."""
 
@@ -240,6 +246,36 @@ def saturation_findings(
                 )
 
 
+def unsigned_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield the finding that torques have no sign: they come down to zero, and never pass it.
+
+    Weight may hold a joint, or a whole arm, on one side. Where its torque comes down to nothing,
+    friction, which turns round with the motion, and noise take it to the other side.
+    """
+    if any(piece.command is not None for piece in pieces):
+        return
+    q, tau = (
+        np.concatenate([getattr(piece, name)[~piece.is_left_out] for piece in pieces])
+        for name in ("q", "tau")
+    )
+    moves = (np.ptp(q, axis=0) > LEAST_TRAVEL) & np.any(tau, axis=0)
+    tau = tau[:, moves]
+    size = np.abs(tau)
+    is_one_sided = np.all(tau >= 0.0, axis=0) | np.all(tau <= 0.0, axis=0)
+    near = size < NEAR_ZERO * np.max(size, axis=0, initial=0.0)
+    returns = np.sum(near[1:] & ~near[:-1], axis=0)
+    if len(returns) and np.all(is_one_sided) and np.max(returns) >= MOST_TOUCHES:
+        never = "negative" if np.any(tau > 0.0) else "positive"
+        yield Finding(
+            Level.REFUSES,
+            FaultName.UNSIGNED,
+            f"the torque of no joint is ever {never}, though it comes down to zero again and "
+            "again: it is without a sign, as the size of a motor's current",
+            "record the torque, or the current, with its sign: no sign can be given to it "
+            "afterwards",
+        )
+
+
 def check_recording(
     robot: RobotModel, pieces: Sequence[Recording]
 ) -> tuple[list[Finding], list[Recording]]:
@@ -250,5 +286,9 @@ def check_recording(
         pieces: the log, cut at gaps.
     """
     kept, found = leave_out(robot.joint_names, pieces, [*failed_sensors(pieces)])
-    found += [*clock_findings(kept), *saturation_findings(robot, kept)]
+    found += [
+        *unsigned_findings(kept),
+        *clock_findings(kept),
+        *saturation_findings(robot, kept),
+    ]
     return found, kept

@@ -13,8 +13,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import compress
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.logs.table import (
@@ -25,10 +27,15 @@ from robot_sysid.logs.table import (
     separate_recordings,
 )
 from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
+from robot_sysid.records.data import shift_behind
 from robot_sysid.records.messages import Progress, count_text, position_unit
+from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
+from robot_sysid.signals.stamps import even_time
 from robot_sysid.wording import option_name, option_setting, with_option_names
 
+Rows = NDArray[np.integer[Any]]
+"""Numbers of rows, counted from 0."""
 _TURN = 2.0 * np.pi
 LARGEST_WRAP_STEP = 0.5
 """Motion within one sample beside which a full turn is a wrap [rad]: 100 rad/s at 200 Hz."""
@@ -42,6 +49,12 @@ MOST_UNREADABLE = 0.01
 MOST_INCOMPLETE = 0.05
 """Share of rows that lack something above which a log, or a quantity, is not used: with 5 % of rows
 missing, most filter windows are still complete (chosen)."""
+LEAST_MOVED_STEP = 0.7
+"""Steps of time between rows that were sorted, over the usual one, of one recording: those of two
+that lie in each other are a half, stamps that jitter by a whole step at least 0.8."""
+MOST_MOVED_WAY = 1.25
+"""Way from row to row where rows were sorted, over that in the file, with which the order in the
+file was wrong: 0.6 of two rows that were exchanged, 1.7 where only their stamps were."""
 SHORTEST_STEP = 1e-5
 LONGEST_STEP = 0.5
 """Sampling periods of a plausible unit of time [s]; rates of 1 to 1000 Hz are usual."""
@@ -61,6 +74,13 @@ SMALLEST_JUMP = 0.5
 """Step of a position that is no encoder's noise [rad or m]."""
 JUMP_SPEED = 100.0
 """Speed that no joint has within one step [rad/s or m/s]."""
+BESIDE = 5
+"""Steps on each side with which one is compared."""
+JUMP_OVER_BESIDE = 8.0
+"""Speed of a step, over that of the fastest of those beside it and over the joint's typical one,
+above which rows are missing: as many at least. Noise makes three times as much."""
+MOST_CUTS = 10
+"""Places at which rows are missing up to which a log is cut there."""
 LEAST_TRAVEL = 0.01
 """Travel below which a joint does not move [rad or m]."""
 # What positions of a hinge may be that are too large for degrees.
@@ -117,6 +137,9 @@ def read_recording(
         )
         notes += clock_notes(table, recording, lines)
         require_units(recording, robot, columns)
+        recording, lines, spike_notes = without_spikes(table, recording, lines)
+        recording, cut_notes = cut_at_lost_rows(table, recording, lines)
+        notes += [*spike_notes, *cut_notes]
         require_no_jumps(table, recording, lines)
         notes += rest_notes(recording, robot)
         notes += torque_notes(recording)
@@ -171,12 +194,13 @@ def usable_rows(
         is_empty = ~np.isfinite(cells[missing[0], -len(titles) :])
         listed = ", ".join(compress(titles, is_empty))
         empty = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
+    rows, notes = ordered_rows(table, columns, cells, np.flatnonzero(is_usable))
+    notes += even_notes(columns, cells, rows)
     # Rows after a step backwards that are not yet later than all before are not counted.
-    time = cells[is_usable, 1]
+    time = cells[rows, 1]
     step = np.diff(time)
-    after = lines[is_usable][1:]
+    after = lines[rows][1:]
     n_read = int(np.count_nonzero(~is_foreign))
-    notes: list[str] = []
     # The share of rows above which a log is refused for an anomaly, and the remedy.
     for anomaly, odd, first, share, remedy in (
         (
@@ -208,7 +232,7 @@ def usable_rows(
             after[step < 0.0],
             "",
             0.0,
-            "cut the log where a second recording begins",
+            "cut the log where a second recording begins, or where the clock was set back",
         ),
     ):
         count = len(odd)
@@ -224,11 +248,96 @@ def usable_rows(
             )
         notes.append(f"left out rows that {anomaly}: {count} (first: {first})")
     is_later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
-    rows = np.flatnonzero(is_usable)[is_later]
-    if len(rows) == len(cells):
+    rows = rows[is_later]
+    if len(rows) == len(cells) and np.all(np.diff(rows) > 0):
         # Without a copy.
         return lines, cells, notes
     return lines[rows], cells[rows], notes
+
+
+def positions(columns: ColumnMap, cells: Array, rows: Rows) -> Array:
+    """Return the positions (K, n) of rows of cells."""
+    return cells[rows, 2 : 2 + len(columns.position)]
+
+
+def ordered_rows(
+    table: LogTable, columns: ColumnMap, cells: Array, rows: Rows
+) -> tuple[Rows, list[str]]:
+    """Return rows (K,) in the order of time, each once, and notes on what was mended.
+
+    Rows that are the same in all columns are one. Others are sorted where they are those of one
+    recording: sorted, they do not lie closer than usual, as those of two recordings would.
+
+    Args:
+        table: the log.
+        columns: the column of each quantity.
+        cells: of all rows, as ``read_cells`` returns them.
+        rows: numbers of the rows that can be used.
+    """
+    notes: list[str] = []
+    time = cells[rows, 1]
+    step = np.diff(time)
+    if np.all(step > 0.0):
+        return rows, notes
+    order = np.argsort(time, kind="stable")
+    is_shared = np.diff(time[order], prepend=-np.inf) == 0.0
+    is_shared[:-1] |= is_shared[1:]
+    shared = rows[np.sort(order[is_shared])]
+    _, first = np.unique(cells[shared, 1:], axis=0, return_index=True)
+    copies = np.delete(shared, first)
+    if len(copies):
+        rows = rows[~np.isin(rows, copies)]
+        notes.append(
+            f"left out rows that are written twice, the same in all columns: {len(copies)} "
+            f"(first: {table.cite(cells[copies[:1], 0].astype(np.int64))})"
+        )
+    time = cells[rows, 1]
+    late = rows[1:][np.diff(time) < 0.0]
+    order = np.argsort(time, kind="stable")
+    if len(late) and is_one_recording(time, positions(columns, cells, rows), order):
+        rows = rows[order]
+        notes.append(
+            f"rows were out of order, and are sorted by time: {len(late)} "
+            f"(first: {table.cite(cells[late[:1], 0].astype(np.int64))})"
+        )
+    return rows, notes
+
+
+def is_one_recording(time: Array, q: Array, order: Rows) -> bool:
+    """Return whether rows are of one recording, and only their order in the file is wrong.
+
+    Args:
+        time: (K,) in the order of the file [s].
+        q: (K, n) positions.
+        order: (K,) of the rows by time.
+    """
+    step = np.diff(time[order])
+    usual = np.median(step)
+    is_new = np.diff(order) != 1
+    is_lost = np.diff(np.argsort(order)) != 1
+    is_apart = np.mean(np.minimum(step[is_new], usual)) > LEAST_MOVED_STEP * usual
+    new, lost = (
+        np.sum(np.linalg.norm(np.diff(each, axis=0)[is_changed], axis=1))
+        for each, is_changed in ((q[order], is_new), (q, is_lost))
+    )
+    return bool(is_apart and new <= MOST_MOVED_WAY * lost)
+
+
+def even_notes(columns: ColumnMap, cells: Array, rows: Rows) -> Iterator[str]:
+    """Put evenly spaced rows at even instants where their stamps are not; yield a note on it."""
+    time = cells[rows, 1]
+    if columns.joint_time or len(time) < FEWEST_SAMPLES or np.any(np.diff(time) < 0.0):
+        return
+    even = even_time(time, positions(columns, cells, rows))
+    if even is None:
+        return
+    cells[rows, 1] = even
+    off = np.max(np.abs(time - even))
+    yield (
+        f"time stamps are up to {1e3 * off:.3g} ms off, as of arrival or of few digits: positions "
+        f"show that rows are evenly spaced, and they are taken at {1.0 / sampling_period(even):.6g}"
+        " Hz"
+    )
 
 
 def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator[str]:
@@ -307,10 +416,68 @@ def require_units(recording: Recording, robot: RobotModel, columns: ColumnMap) -
         )
 
 
+def without_spikes(
+    table: LogTable, recording: Recording, lines: Lines
+) -> tuple[Recording, Lines, list[str]]:
+    """Return a recording without single rows in which a position jumps and is back, and a note.
+
+    More of them are no single readings that went wrong: nothing is left out then.
+    """
+    step = np.abs(np.diff(recording.q, axis=0))
+    is_far = step > jump_sizes(recording)
+    back = np.abs(recording.q[2:] - recording.q[:-2])
+    is_back = back < SMALLEST_JUMP
+    is_spike = np.any(is_far[:-1] & is_far[1:] & is_back, axis=1)
+    count = np.count_nonzero(is_spike)
+    if not 0 < count <= MOST_UNREADABLE * len(recording):
+        return recording, lines, []
+    kept = np.flatnonzero(~np.pad(is_spike, 1))
+    wrong = lines[1:-1][is_spike]
+    note = f"left out rows in which a position jumps and is back: {count}"
+    where = f"(first: {table.cite(wrong[:1])})"
+    arrays = {name: values[kept] for name, values in recording.arrays().items()}
+    return replace(recording, **arrays), lines[kept], [f"{note} {where}"]
+
+
+def cut_at_lost_rows(
+    table: LogTable, recording: Recording, lines: Lines
+) -> tuple[Recording, list[str]]:
+    """Return a recording that is cut where rows are missing and its time does not show it.
+
+    There, several joints jump at once, by far more than in any step beside. What is on both sides
+    is right; only the time between them is not known. Of one joint that jumps alone the zero may
+    have been set. Where there are many such places, the clock is judged (``diagnosis.samples``).
+    """
+    step = np.diff(recording.time)
+    speed = np.abs(np.diff(recording.q, axis=0)) / step[:, None]
+    if len(speed) <= 2 * BESIDE:
+        return recording, []
+    usual = np.array([np.median(of[of > 0.0]) if np.any(of) else 0.0 for of in speed.T])
+    middle = slice(BESIDE, len(speed) - BESIDE)
+    before = beside = np.zeros_like(speed[middle])
+    for back in range(1, BESIDE + 1):
+        before = np.maximum(before, speed[BESIDE - back : len(speed) - BESIDE - back])
+        beside = np.maximum(beside, speed[BESIDE + back : len(speed) - BESIDE + back])
+    beside = np.maximum(np.maximum(before, beside), usual)
+    # What repeats its value for a while is left out (``diagnosis.stretches``).
+    jumps = (speed[middle] > JUMP_OVER_BESIDE * beside) & (before > 0.0)
+    is_gap = step[middle] > GAP_STEPS * np.median(step)
+    places = BESIDE + np.flatnonzero((np.sum(jumps, axis=1) > 1) & ~is_gap)
+    if not 0 < len(places) <= MOST_CUTS:
+        return recording, []
+    time = recording.time.copy()
+    for place in places.tolist():
+        time[place + 1 :] += shift_behind(time[place], time[place + 1])
+    note = (
+        f"rows are missing before {table.cite(lines[1 + places])} that the time does not show, as "
+        "positions jump there: the log is cut there"
+    )
+    return replace(recording, time=time), [note]
+
+
 def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> None:
-    """Raise InputError for single positions that no joint can reach within one step."""
-    # Noise adds to the speed of a joint.
-    threshold = np.maximum(SMALLEST_JUMP, JUMP_SPEED * np.diff(recording.time))
+    """Raise InputError for positions that no joint can reach within one step."""
+    threshold = jump_sizes(recording)[:, 0]
     for name, q in zip(recording.joint_names, recording.q.T):
         step = np.abs(np.diff(q))
         # What repeats its value for a while is left out (``diagnosis.stretches``).
@@ -318,8 +485,16 @@ def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> Non
         if np.any(is_jump):
             where = table.cite(lines[1:][is_jump])
             raise InputError(
-                f"the position of joint {name} jumps at {where}; delete the bad rows"
+                f"the position of joint {name} jumps at {where} and stays there, as where its "
+                "zero was set, or its encoder lost count; use the part of the log before it, or "
+                "behind it"
             )
+
+
+def jump_sizes(recording: Recording) -> Array:
+    """Return the way (N - 1, 1) that no joint makes in each step; noise adds to it."""
+    most = np.maximum(SMALLEST_JUMP, JUMP_SPEED * np.diff(recording.time))
+    return np.asarray(most[:, None])
 
 
 def rest_notes(recording: Recording, robot: RobotModel) -> Iterator[str]:

@@ -38,6 +38,7 @@ class FaultName(str, Enum):
     )
     GRAVITY = "gravity", "torque without gravity, or external torque only"
     COMPUTED = "computed", "torque that was computed, not measured"
+    UNSIGNED = "unsigned", "torque without a sign, as the size of a current"
     SIGN = "sign", "sign of a position or torque"
     ORDER = "order", "columns of joints exchanged"
     ANGLE_UNIT = "angle-unit", "degrees for radians or the other way round"

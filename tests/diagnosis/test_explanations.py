@@ -94,6 +94,8 @@ TORQUES = {
 """Names of checks and their messages to a torque (N, 4) for which they have to come; for all
 faults, on public arms, see benchmarks/trust/confusion.py."""
 CLOCK = "clock: too long, or a balancer carries a part of the weight"
+HALVED = "clock: time in the log is 0.5 times as long as it was"
+DOUBLED = "clock: time in the log is 2 times as long as it was"
 SAMPLES = {
     "order": lambda log: {
         name: vars(log)[name][:, ::-1] for name in ("q", "qd", "tau")
@@ -105,6 +107,8 @@ SAMPLES = {
         "qd": None,
     },
     CLOCK: lambda log: {"time": 1.3 * log.time, "qd": None},
+    HALVED: lambda log: {"time": 0.5 * log.time, "qd": None},
+    DOUBLED: lambda log: {"time": 2.0 * log.time, "qd": None},
     "clock: by the recorded velocities": lambda log: {"time": 1.15 * log.time},
 }
 """Name of a check and its message to the samples of a log for which it has to come."""
@@ -167,10 +171,15 @@ def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instan
     assert number_after("from about", text) == pytest.approx(instant, abs=0.1)
 
 
+def with_right_time(log, finding):
+    """Return a log whose time is scaled as the finding says."""
+    return replace(log, time=number_after("time =", finding.remedy) * log.time)
+
+
 REMEDIES = {
-    CLOCK: lambda log, finding: replace(
-        log, time=number_after("time =", finding.remedy) * log.time
-    ),
+    CLOCK: with_right_time,
+    HALVED: with_right_time,
+    DOUBLED: with_right_time,
     "torque-scale: torque of joint joint1 reads": lambda log, finding: replace(
         log,
         tau=log.tau / (0.5 * np.array(finding.options[0][1].split(","), dtype=float)),

@@ -22,6 +22,7 @@ from robot_sysid.diagnosis.samples import (
     clock_findings,
     saturation_findings,
     time_share,
+    unsigned_findings,
     velocity_notes,
     velocity_ratios,
 )
@@ -143,6 +144,27 @@ def test_the_largest_torque_of_a_short_log_does_not_saturate():
     tau[50] += 9.0
     short = replace(SAMPLES, tau=tau)[:180]
     assert list(saturation_findings(arm_of(JOINTS), [short])) == []
+
+
+def with_two_signs(joints):
+    """Return the recording with torques of some joints about zero, and of the others above it."""
+    tau = NOISY.tau - np.mean(NOISY.tau, axis=0)
+    lift = 1.1 * np.max(np.abs(tau), axis=0) * ~np.isin(np.arange(3), joints)
+    return replace(NOISY, tau=tau + lift)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_torque_without_a_sign_is_refused(sign):
+    log = with_two_signs([0, 1, 2])
+    (finding,) = unsigned_findings([replace(log, tau=sign * np.abs(log.tau))])
+    assert finding.level is Level.REFUSES and finding.about is FaultName.UNSIGNED
+    never = "negative" if sign > 0.0 else "positive"
+    assert f"ever {never}" in finding.text
+
+
+@pytest.mark.parametrize("joints", [[0, 1, 2], [1], [0, 2], []])
+def test_torque_that_weight_holds_on_one_side_has_a_sign(joints):
+    assert list(unsigned_findings([with_two_signs(joints)])) == []
 
 
 # ---- against the model

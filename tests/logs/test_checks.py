@@ -20,6 +20,7 @@ from rigs.logs.log_files import (
     table,
     write,
 )
+from robot_sysid.signals.resampling import split_at_gaps
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
 RUBBISH = (9, 20, 31, 42, 53)
@@ -73,19 +74,11 @@ ERRORS: dict[str, tuple[Callable, str]] = {
         changing(np.s_[::10, 2], lambda q: np.nan * q),
         "40 of 400 rows.*5 %.*line 2",
     ),
-    "coarse time": (
-        changing(TIME, lambda time: np.floor(time * 50) / 50),
-        "repeat the time stamp.*more digits",
-    ),
     "milliseconds": (
         changing(TIME, lambda t: 1e3 * t),
         "time steps of 5 s.*--units ms, us or ns",
     ),
     "tiny time": (changing(TIME, lambda t: 1e-3 * t), r"5e-06 s.*60 \* TITLE"),
-    "stamps of arrival": (
-        changing((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
-        r"of when rows were written \(joint base would reach.*'rate = 200'",
-    ),
     "whole seconds": (
         changing(TIME, np.floor),
         "398 of 400 rows repeat the time stamp.*'rate = HZ' in --columns",
@@ -108,9 +101,9 @@ ERRORS: dict[str, tuple[Callable, str]] = {
     ),
     "degrees": (changing(Q, np.degrees), "look like degrees.*--units deg"),
     "at rest": (changing(Q, lambda q: 0.3 + 1e-3 * q), "at rest.*no joint moves"),
-    "spike": (
-        changing((33, 3), lambda q: q + 2.0),
-        "joint wrist.*jumps at line 35 and 1 more",
+    "zero set": (
+        changing(np.s_[200:, 3], lambda q: q + 2.0),
+        "joint wrist jumps at line 202 and stays there.*use the part of the log before",
     ),
     "too few": (lambda rows: rows[:5], "only 5 usable rows"),
 }
@@ -121,14 +114,104 @@ def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
     fault, words = ERRORS[name]
     with refused(words) as caught:
         read_table(tmp_path, fault(table(motion())))
-    of_angles = ("degrees", "minutes", "stamps of arrival")
+    of_angles = ("degrees", "minutes")
     assert ("degrees" in str(caught.value)) == (name in of_angles)
 
 
-@pytest.mark.parametrize("name", ["stamps of arrival", "whole seconds"])
-def test_the_remedy_for_a_clock_is_one(tmp_path, name):
-    log = read_table(tmp_path, ERRORS[name][0](table(motion())), columns="rate = 200")
+def test_the_remedy_for_a_clock_is_one(tmp_path):
+    rows = ERRORS["whole seconds"][0](table(motion()))
+    log = read_table(tmp_path, rows, columns="rate = 200")
     np.testing.assert_allclose(log.time, motion().time, atol=1e-12)
+
+
+def in_file_order(order):
+    """A fault that writes the rows in another order, or some of them twice."""
+    return lambda rows: rows[order(len(rows))]
+
+
+def exchanged_blocks(count):
+    """Return rows of which two stretches are exchanged."""
+    rows = np.arange(count)
+    return np.r_[rows[:150], rows[180:210], rows[150:180], rows[210:]]
+
+
+ORDERS = {
+    "twice": lambda n: np.sort([*range(n), *range(0, n, 10)]),
+    "a stretch twice": lambda n: np.r_[0:200, 150:n],
+    "neighbours exchanged": lambda n: np.arange(n) ^ (np.arange(n) % 20 < 2),
+    "stretches exchanged": exchanged_blocks,
+    "shuffled": lambda n: np.random.default_rng(0).permutation(n),
+    "backwards": lambda n: np.arange(n)[::-1],
+    "shuffled, a tenth twice": lambda n: np.random.default_rng(1).permutation(
+        [*range(n), *range(0, n, 10)]
+    ),
+}
+"""How rows lie in the file that are one recording all the same."""
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_rows_in_any_order_or_twice_are_the_recording(tmp_path, name):
+    log = read_table(tmp_path, in_file_order(ORDERS[name])(table(motion())))
+    np.testing.assert_array_equal(table(log), table(motion()))
+    assert re.search("written twice|sorted by time", notes_of(log))
+
+
+@pytest.mark.parametrize(
+    "stamped",
+    [
+        lambda time: np.floor(time * 50) / 50,
+        lambda time: np.round(time, 2),
+        lambda time: time + np.random.default_rng(0).uniform(0.0, 5e-3, len(time)),
+        lambda time: time - 4.99e-3 * (np.arange(len(time)) % 9 == 8),
+        # Rows of a sixteenth of a second arrive together.
+        lambda time: np.ceil(time * 16) / 16,
+    ],
+    ids=["floor", "round", "late", "early", "bursts"],
+)
+def test_even_rows_with_other_stamps_are_at_even_instants(tmp_path, stamped):
+    rows = table(motion(2000))
+    rows[:, 0] = stamped(motion(2000).time)
+    log = read_table(tmp_path, rows)
+    assert "positions show that rows are evenly spaced" in notes_of(log)
+    assert len(log) == 2000
+    np.testing.assert_allclose(np.diff(log.time), 5e-3, rtol=2e-3)
+
+
+@pytest.mark.parametrize("first", [900, 1000, 1130])
+@pytest.mark.parametrize("count", [20, 200])
+def test_a_log_is_cut_where_rows_are_missing_behind_a_counted_time(
+    tmp_path, first, count
+):
+    data = motion(2600)
+    rows = np.delete(table(data), slice(first, first + count), axis=0)
+    rows[:, 0] = data.time[: len(rows)]
+    log = read_table(tmp_path, rows)
+    assert f"rows are missing before line {first + 2} that the time" in notes_of(log)
+    before, after = split_at_gaps(log)
+    np.testing.assert_array_equal(before.q, data.q[:first])
+    np.testing.assert_array_equal(after.q, data.q[first + count :])
+    # Of one joint that jumps alone, the zero may have been set.
+    rows = table(data)
+    rows[first:, 2] += 0.3
+    assert "missing" not in notes_of(read_table(tmp_path, rows))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_uneven_rows_keep_their_stamps(tmp_path, seed):
+    """Also where rows are missing, and the stamps that are left jitter."""
+    random = np.random.default_rng(seed)
+    data = motion(2000)
+    time = np.sort(data.time + random.uniform(0.0, 4e-3, len(data)))
+    uneven = table(data)
+    uneven[:, 0] = time
+    for k in range(3):
+        uneven[:, 1 + k] = np.interp(time, data.time, data.q[:, k])
+    late = table(data)
+    late[:, 0] = time
+    for rows in (uneven, np.delete(late, 900, axis=0)):
+        log = read_table(tmp_path, rows)
+        assert "evenly spaced" not in notes_of(log)
+        np.testing.assert_array_equal(log.time, rows[:, 0])
 
 
 # Each of these is a note, none an error.
@@ -149,6 +232,14 @@ NOTES: dict[str, tuple[Callable, str]] = {
     "cut off": (
         lambda rows: [*rows[:-1].tolist(), rows[-1, :4].tolist()],
         r"left out rows that are no rows of numbers: 1 \(first: line 401: 4 cells instead of 7\)",
+    ),
+    "a stamp ahead": (
+        changing((200, 0), lambda time: time + 100.0),
+        "time starts again at line 203",
+    ),
+    "spike": (
+        changing((33, 3), lambda q: q + 2.0),
+        r"left out rows in which a position jumps and is back: 1 \(first: line 35\)",
     ),
     "one at rest": (
         changing(np.s_[:, 2], lambda q: 0.0 * q),

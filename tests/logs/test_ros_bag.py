@@ -15,6 +15,7 @@ from rigs.logs.log_files import (
     assert_read,
     assert_refused,
     motion,
+    notes_of,
     read_measurements,
 )
 
@@ -48,6 +49,12 @@ def test_what_is_not_in_one_message_or_not_in_order_is_refused(tmp_path):
     assert_refused("have empty or NaN cells.*position and torque, in one", path)
     back = rows_of([*range(40), *range(30, 60)])
     path = write_bag(tmp_path / "back", back)
+    assert "written twice, the same in all columns: 10" in notes_of(
+        assert_read(path, DATA)
+    )
+    back = rows_of([*range(40), *range(30, 60)])
+    later = [(t + 1e-3 * (k >= 40), *row) for k, (t, *row) in enumerate(back)]
+    path = write_bag(tmp_path / "again", later)
     assert_refused("backwards in time.*message 41", path)
 
 
