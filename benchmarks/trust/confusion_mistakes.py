@@ -31,13 +31,6 @@ from benchmarks.trust.confusion_causes import (
     turned_signs,
 )
 from benchmarks.trust.wrong_logs import carrying_joint
-from rigs.arms.wrong_arms import (
-    PRESLIDING,
-    WrongArm,
-    link_torque,
-    noise_samples,
-    resting_torque,
-)
 from rigs.arms.motions import (
     of_joints,
     one_at_a_time,
@@ -46,7 +39,14 @@ from rigs.arms.motions import (
     slow,
     smooth_step,
 )
-from rigs.arms.wrong_arms import PRESLIDING, RATE, WrongArm, noise_samples
+from rigs.arms.wrong_arms import (
+    PRESLIDING,
+    RATE,
+    WrongArm,
+    link_torque,
+    noise_samples,
+    resting_torque,
+)
 from rigs.files.urdf import urdf_of
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics

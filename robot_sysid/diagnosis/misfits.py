@@ -29,14 +29,12 @@ from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
-from robot_sysid.estimate.choose import answer_of, odd_link
-from robot_sysid.estimate.choose import solve_question
+from robot_sysid.estimate.choose import answer_of, odd_link, solve_question
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS
 from robot_sysid.records.fault_names import FaultName
-from robot_sysid.records.levels import INTERVAL, UNEXPLAINED
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 from robot_sysid.records.parameters import DELAY

@@ -8,13 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.arms.wrong_arms import ARMS, link_torque, truth_of
-from rigs.files.places import MODELS
-from robot_sysid.model.bodies import write_body
-from robot_sysid.diagnosis.misfits import lost_links
 from rigs.arms.motions import one_at_a_time
-from rigs.arms.wrong_arms import ARMS, draw_arm, truth_of
+from rigs.arms.wrong_arms import ARMS, draw_arm, link_torque, truth_of
 from rigs.files.places import MODELS
+from robot_sysid.diagnosis.misfits import lost_links
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -22,6 +19,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.estimate.fit import solve
 from robot_sysid.estimate.restricted_fit import errors_of, fit_file
+from robot_sysid.model.bodies import write_body
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Level
@@ -142,6 +140,8 @@ def test_a_forearm_with_a_quarter_of_its_mass_is_named_and_its_error_widens(trut
 def test_links_that_are_off_as_usual_are_not(truth):
     answer = judged(truth.robot, truth.log)
     assert answer.findings == () and answer.fit.question.odd_link is None
+
+
 @pytest.mark.parametrize("seed", [7, 8])
 def test_no_possible_arm_fits_a_joint_at_a_time_better_than_the_estimate(seed):
     """The true one is possible, and is likelier than one whose rotors are held at zero in vain."""
