@@ -57,8 +57,8 @@ ROWS = 250
 LEAST_RESIDUAL = 0.01
 """Residual that does not count, as a share of all torque: a right log leaves as much."""
 FINE_RESIDUAL = 0.001
-"""The same where mistakes are taken one by one: a wrist without weight makes little torque. Of 14
-right logs none reads better with one; of 30 with a wrong sign or order of wrists all but two do."""
+"""The same where mistakes are taken one by one: a wrist without weight makes a few thousandths of
+all torque, and its sign shows in as much of it."""
 KEPT = 40
 """Readings of positions of which the sums are kept: 0.7 MB each, of an arm of seven joints."""
 ZERO_ROUNDS = 5

@@ -53,6 +53,7 @@ DOUBTFUL = (FaultName.MODEL, FaultName.UNEXPLAINED, FaultName.HELD, FaultName.SA
 OF_SAMPLES = (
     FaultName.TOO_LITTLE,
     FaultName.CLOCK,
+    FaultName.UNSIGNED,
     FaultName.HELD,
     FaultName.SATURATED,
 )
