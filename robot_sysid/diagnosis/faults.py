@@ -568,9 +568,7 @@ FAULTS = (
         of_plays,
         0.02,
         "degrees",
-        # With less, friction that is not as the others say looks like it.
-        sizes=(0.005, 0.1),
-        is_of_any_log=False,
+        sizes=(0.0, 0.1),
         is_sharp=True,
     ),
     Fault(
