@@ -239,21 +239,15 @@ class ColumnSearch:
             noise = np.maximum(np.sqrt(squares / counts), least)
         return likelihood(equations, values, counts, noise)
 
-    def one_by_one(
-        self, tried: Sequence[Mistake], evidence: Evidence, is_fitting: bool
-    ) -> list[Mistake]:
-        """Return mistakes that each gain alone, of joints that make little torque as well.
-
-        Several signs are taken at once where a log does not fit.
-        """
-        before = self.score([], FINE_RESIDUAL)
-        score, found = self._longer([], tried, FINE_RESIDUAL)[0]
-        if not is_fitting:
-            together, signs = self._signs(tried)
-            if together > max(score, before) + CLEAR * (len(signs) - 1):
-                score, found = together, signs
-        if score < before + CLEAR:
-            return []
+    def one_by_one(self, tried: Sequence[Mistake], evidence: Evidence) -> list[Mistake]:
+        """Return mistakes that each gain alone, of joints that make little torque as well."""
+        found: list[Mistake] = []
+        score = self.score(found, FINE_RESIDUAL)
+        first, _ = self._longer(found, tried, FINE_RESIDUAL)[0]
+        after, signs = self._signs(tried)
+        # Several signs are taken at once where they gain more than another mistake does.
+        if after > max(first, score) + CLEAR * (len(signs) - 1):
+            score, found = after, signs
         while len(found) < MOST_TOGETHER:
             evidence.advance()
             after, longer = self._longer(found, tried, FINE_RESIDUAL)[0]
@@ -400,7 +394,7 @@ def single_correction(
     moving = moving_joints(fitted)
     rows = mistakes_of_light if is_fitting else mistakes
     tried = [*rows(fitted.arm.robot, moving)]
-    found = ColumnSearch(fitted).one_by_one(tried, evidence, is_fitting)
+    found = ColumnSearch(fitted).one_by_one(tried, evidence)
     yield from correction_of(fitted, found, range(len(found), len(found) + 1))
 
 

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import COULOMB, OFFSET, ROTOR, VISCOUS
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, LinksMotion
+from robot_sysid.dynamics.inverse_dynamics import LinksMotion
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import Point, Term
 from robot_sysid.records import Array
 from robot_sysid.records.parameters import Parameter
-from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import PARAMETER_NAMES
 
 INERTIAL = "inertia"
@@ -32,11 +30,6 @@ HUM = ("cosine of time", "sine of time")
 NEIGHBOURS = ("torque of joint before", "torque of joint after")
 LAST_WEIGHT = tuple(f"weight of last {name}" for name in PARAMETER_NAMES[:4])
 FORCE = tuple(f"force {axis} {name}" for name in PARAMETER_NAMES[:4] for axis in "xyz")
-PRESSED = 0.05
-"""Torque with which the teeth of a gear lie against one side, over the joint's own: about that of
-its friction."""
-_SMALL_PLAY = 1e-3
-"""Play of which the torque is taken, where it is still in proportion to it [rad or m]."""
 _STEPS_PER_PERIOD = 4
 """Steps of a period of the whole log in which rates of a hum are tried: a rate between two steps
 loses at most a tenth of the amplitude."""
@@ -60,23 +53,6 @@ def fault_columns(fitted: Fit) -> list[Term]:
     def of_last(moves: LinksMotion) -> Array:
         """Return the torque (m, J, 4) of the last link's mass and first moments, one each."""
         return moves.columns([robot.n_joints - 1])[:, arm.indices, :4]
-
-    def plays(rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J, J) of play in the gear of each joint [N m/rad]."""
-        motion = rows.motion
-        moved = sides_of_teeth(rows.recording, fitted)[rows.span]
-        thetas = point.carried_links(rows.is_loaded)
-        dynamics = LinkDynamics(robot, point.gravity)
-        torque = rows.moves(robot, point.gravity).torque(thetas)
-        columns = []
-        for joint in arm.indices.tolist():
-            own = 0.5 * _SMALL_PLAY * np.eye(robot.n_joints)[joint]
-            side = moved[:, :, joint, None] * own
-            within = dynamics.motion(
-                motion.q - side[:, 0], motion.qd - side[:, 1], motion.qdd - side[:, 2]
-            )
-            columns.append((within.torque(thetas) - torque) / _SMALL_PLAY)
-        return np.stack(columns, axis=-1)[:, arm.indices]
 
     def columns(rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 26): each fault's own, in the order of the names."""
@@ -118,53 +94,7 @@ def fault_columns(fitted: Fit) -> list[Term]:
         *HUM,
         *NEIGHBOURS,
     )
-    of_gears = tuple(Parameter(play_of(name)) for name in arm.joints)
-    return [Term("", tuple(map(Parameter, names)), columns), Term("", of_gears, plays)]
-
-
-def play_of(joint: str) -> str:
-    """Return the name of the column of play in a joint's gear."""
-    return f"play of {joint}"
-
-
-def sides_of_teeth(recording: FilteredRecording, fitted: Fit) -> Array:
-    """Return on which side the teeth of gears lie (K, 3, n), from -1 to 1, and its derivatives.
-
-    They change sides where the torque does that passes them: the measured one without what motors
-    lose before it. What positions have of it is low-passed with them.
-    """
-    robot = fitted.arm.robot
-    sizes = {
-        term: [fitted.by_name.get(term.key_of(name), 0.0) for name in robot.joint_names]
-        for term in (COULOMB, VISCOUS, OFFSET, ROTOR)
-    }
-
-    def make() -> Array:
-        """Return it of all rows."""
-        low_pass = recording.low_pass
-
-        def smooth(values: Array) -> Array:
-            """Return columns (N, n), low-passed, as many as before."""
-            return np.stack(
-                [np.convolve(each, low_pass.kernel, "same") for each in values.T], 1
-            )
-
-        lost_before = (
-            np.sign(recording.qd) * sizes[COULOMB]
-            + recording.qd * sizes[VISCOUS]
-            + sizes[OFFSET]
-            + recording.qdd * sizes[ROTOR]
-        )
-        torque = smooth(recording.tau - lost_before)
-        size = np.maximum(np.sqrt(np.mean(torque**2, axis=0)), 1e-300)
-        side = smooth(np.tanh(torque / (PRESSED * size)))
-        rate = np.gradient(side, axis=0) * low_pass.rate
-        bend = np.gradient(rate, axis=0) * low_pass.rate
-        lost = low_pass.half_width
-        every = slice(lost, len(side) - lost, low_pass.step * recording.every)
-        return np.stack((side, rate, bend), axis=1)[every]
-
-    return recording.kept.get("sides of teeth", make)
+    return [Term("", tuple(map(Parameter, names)), columns)]
 
 
 def strongest_rate(time: Array, residual: Array) -> float:

@@ -29,7 +29,6 @@ from robot_sysid.diagnosis.fault_columns import (
     NEIGHBOURS,
     SPRING,
     WEIGHT,
-    play_of,
 )
 from robot_sysid.diagnosis.plausibility import typical_torque
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
@@ -83,7 +82,6 @@ class Fault:
         has_number: whether a single number says it; else all its values count.
         factor: the number is the value times it.
         is_of_any_log: whether it may be in one of several logs alone.
-        is_sharp: whether its torque is a blow of a few rows, which looks like noise.
     """
 
     name: FaultName
@@ -98,7 +96,6 @@ class Fault:
     has_number: bool = True
     factor: float = 1.0
     is_of_any_log: bool = True
-    is_sharp: bool = False
 
 
 @dataclass(frozen=True)
@@ -237,15 +234,6 @@ def at_zeros(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
         unit = position_unit(name in fitted.arm.robot.slides)
         zero = effect([ZERO.key_of(name)], fault.prior)
         yield Explanation(fault, zero, {"joint": name}, unit)
-
-
-def of_plays(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
-    """Yield play in the gear of each joint [rad or m]: its position jumps as its torque turns."""
-    for name in fitted.arm.joints:
-        is_slide = name in fitted.arm.robot.slides
-        play = effect([play_of(name)], fault.prior)
-        unit = position_unit(True) if is_slide else fault.unit
-        yield Explanation(fault, play, {"joint": name}, unit)
 
 
 MOST_OF_SPRING = 2.0
@@ -558,18 +546,6 @@ FAULTS = (
         "correct the joint's zero",
         at_zeros,
         0.1,
-    ),
-    Fault(
-        FaultName.BACKLASH,
-        "the gear of joint {joint} has {value} of play: its position jumps where its torque turns "
-        "round",
-        "tighten the gear, or read the position behind it; numbers of this joint are right beyond "
-        "the play only",
-        of_plays,
-        0.02,
-        "degrees",
-        sizes=(0.0, 0.1),
-        is_sharp=True,
     ),
     Fault(
         FaultName.FORCE,

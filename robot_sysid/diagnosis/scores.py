@@ -239,8 +239,6 @@ def leaves_noise(explanation: Explanation, offer: Offer, white: Offers) -> bool:
     """Return whether what an explanation takes away is torque of a cause, and not noise."""
     fitted = white.fitted
     total, slow = white.slow_gain(offer)
-    if explanation.fault.is_sharp:
-        slow = total
     # Links that a joint's own shape relieves are no evidence for it. Nor is what all logs share
     # evidence for what differs between empty and loaded ones.
     is_evidence = not (explanation.is_shape or fitted.question.loaded)

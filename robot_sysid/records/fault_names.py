@@ -49,7 +49,6 @@ class FaultName(str, Enum):
         "clock",
         "clock that jumps or drifts, a wrong time base, or samples lost or repeated",
     )
-    BACKLASH = "backlash", "play in the gear of a joint"
     DELAY = "delay", "torque delayed against position"
     SATURATED = "saturated", "torque sensor at its end"
     HELD = "held", "torque that stands still while the arm moves"
