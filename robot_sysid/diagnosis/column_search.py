@@ -257,7 +257,7 @@ class ColumnSearch:
         return found
 
     def position(self, joints: Sequence[int]) -> list[Mistake]:
-        """Return the zero or gear of one of some joints with which the log reads best; [] for none.
+        """Return the zero of one of some joints with which the log reads best; [] for none.
 
         The angle of a zero is found to a degree.
         """
@@ -273,16 +273,16 @@ class ColumnSearch:
         most, best = max(
             ((score(each), each) for each in tried), key=lambda way: way[0]
         )
-        step = ZERO_STEP if best.name is FaultName.ZERO else 0.0
+        step = ZERO_STEP
         joint = int(np.argmax(np.abs(best.reading.zeros)))
-        for _ in range(ZERO_ROUNDS if step else 0):
+        for _ in range(ZERO_ROUNDS):
             step *= 0.5
             angle = best.reading.zeros[joint]
             ways = [zero_of(n, joint, angle + side) for side in (-step, step)]
             scored = [(most, best), *((score(each), each) for each in ways)]
             most, best = max(scored, key=lambda way: way[0])
         is_clear = most > self.score([], FINE_RESIDUAL) + CLEAR
-        is_small = step and np.max(np.abs(best.reading.zeros)) < np.radians(TURNED)
+        is_small = np.max(np.abs(best.reading.zeros)) < np.radians(TURNED)
         return [best] if is_clear and not is_small else []
 
     def _signs(self, tried: Sequence[Mistake]) -> tuple[float, list[Mistake]]:
@@ -383,23 +383,21 @@ def refit(fitted: Fit, reading: Reading, **priors: float) -> Fit:
     return solve_question(robot, recordings, question, beside=fault_columns)
 
 
-def single_correction(
-    fitted: Fit, evidence: Evidence, is_fitting: bool
-) -> Iterator[Correction]:
-    """Yield the correction of mistakes that each gain alone, if there are any.
+def single_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+    """Yield the correction of signs that each gain alone, if there are any.
 
-    A log that fits may have one at joints that make little torque, where zeros and units would be
-    no mistake of columns.
+    A log that fits may have one at joints that make little torque. Other columns are tried together
+    (``column_correction``): one alone may fit in place of two, as degrees do, which make a joint
+    stand.
     """
     moving = moving_joints(fitted)
-    rows = mistakes_of_light if is_fitting else mistakes
-    tried = [*rows(fitted.arm.robot, moving)]
+    tried = [*mistakes_of_light(fitted.arm.robot, moving)]
     found = ColumnSearch(fitted).one_by_one(tried, evidence)
     yield from correction_of(fitted, found, range(len(found), len(found) + 1))
 
 
 def position_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
-    """Yield the correction of one joint's zero, by any angle, or gear, if it gains clearly.
+    """Yield the correction of one joint's zero, by any angle, if it gains clearly.
 
     A small error of a zero is a row of the faults of torque.
     """

@@ -33,8 +33,6 @@ _TIMES = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
 ZERO_STEP = np.radians(30.0)
 """Step of the angles of a zero that are tried first: one that is off by half a step reads better
 with it than with none."""
-_GEARS = (0.5, 2.0)
-"""Factors on the positions of a joint whose gear is another one, or is counted twice."""
 _RADIANS_PER_DEGREE = np.radians(1.0)
 
 
@@ -256,21 +254,12 @@ def zero_of(n: int, joint: int, angle: float) -> Mistake:
 
 
 def positions_of_joints(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
-    """Yield zeros that are off by any angle, in steps, and gears of another ratio."""
+    """Yield zeros that are off by any angle, in steps."""
     for joint in moving:
         if not robot.is_slide[joint]:
             steps = int(np.rint(np.pi / ZERO_STEP))
             for number in (*range(1 - steps, 0), *range(1, steps + 1)):
                 yield zero_of(robot.n_joints, joint, number * ZERO_STEP)
-        for factor in _GEARS:
-            scale = np.ones(robot.n_joints)
-            scale[joint] = factor
-            yield Mistake(
-                FaultName.ANGLE_UNIT,
-                f"the position of joint {robot.joint_names[joint]} is {1.0 / factor:g} times what "
-                "it should be, as of a gear",
-                replace(Reading.of(robot.n_joints), position=np.diag(scale)),
-            )
 
 
 def mountings(robot: RobotModel) -> Iterator[Mistake]:

@@ -101,7 +101,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
         search = search_or_single(search, evidence, scales)
     # Links that may be off hide much of a direction that was stated the wrong way round.
     is_fitting = (
-        fits(search.start.fit)
+        fits(fitted)
         and not any(map(is_like_gravity, search.winners))
         and fitted.arm.robot.gravity is None
     )
@@ -149,17 +149,23 @@ def search_or_single(
     others contradict is simpler.
     """
     fitted = scales.fitted
-    tried = [*single_correction(fitted, evidence, fits(fitted))]
+    tried = [*single_correction(fitted, evidence)]
     if not any(fits(each.fit) for each in tried):
         tried += [] if scales.alone is None else [scales.alone]
         if search.winners or not fits(fitted) or scales.scales.is_odd:
-            tried += position_correction(fitted, evidence)
+            positions = position_correction(fitted, evidence)
+            tried += [each for each in positions if fits(each.fit)]
     for each in tried:
         # Columns of another arm's log fit its model no better in any order.
         is_right = is_plausible(each.fit) and not is_sibling(each.fit)
         if each.gain < CLEAR or not is_right:
             continue
         corrected = search_faults(each, evidence, scales)
+        # A log that fits needs no other columns to be right in everything else: a wrong sign that
+        # friction without a term suggests leaves a force or a tilt.
+        is_right = all(score.level is Level.SAYS for score in corrected.winners)
+        if fits(fitted) and not is_right:
+            continue
         blamed = {score.name for score in search.winners}
         blamed |= {finding.about for finding in search.start.findings}
         is_simpler = each is scales.alone and blamed and blamed <= {*OF_SCALES}
