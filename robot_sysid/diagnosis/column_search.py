@@ -386,12 +386,13 @@ def refit(fitted: Fit, reading: Reading, **priors: float) -> Fit:
 def single_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of signs that each gain alone, if there are any.
 
-    A log that fits may have one at joints that make little torque. Other columns are tried together
-    (``column_correction``): one alone may fit in place of two, as degrees do, which make a joint
-    stand.
+    A log that fits may have one at joints that make little torque. In a log that does not,
+    positions are tried together (``column_correction``): the sign of one may stand for two zeros.
     """
     moving = moving_joints(fitted)
     tried = [*mistakes_of_light(fitted.arm.robot, moving)]
+    if not fits(fitted):
+        tried = [each for each in tried if is_torque_sign(each)]
     found = ColumnSearch(fitted).one_by_one(tried, evidence)
     yield from correction_of(fitted, found, range(len(found), len(found) + 1))
 

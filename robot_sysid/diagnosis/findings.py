@@ -185,8 +185,8 @@ def search_or_corrected(
     Gains are compared, so that corrections are of the log as it was recorded, which ``scales`` has,
     also where the search itself has corrected its torque scales.
     """
-    # Of a log that does not fit, each mistake of columns was tried by itself.
-    is_column = fits(scales.fitted) or not search.explains
+    # A log that one joint's mistake explains needs no search for several.
+    is_column = not (search.explains and search.start.findings)
     best = sorted(corrections(evidence, scales, is_column), key=lambda c: -c.gain)
     # Whatever explains torques in another unit, they are not right as they are.
     is_unit = is_foreign(scales.fitted)
