@@ -386,13 +386,12 @@ def refit(fitted: Fit, reading: Reading, **priors: float) -> Fit:
 def single_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of signs that each gain alone, if there are any.
 
-    A log that fits may have one at joints that make little torque. In a log that does not,
-    positions are tried together (``column_correction``): the sign of one may stand for two zeros.
+    A log that fits may have one at joints that make little torque.
     """
     moving = moving_joints(fitted)
-    tried = [*mistakes_of_light(fitted.arm.robot, moving)]
-    if not fits(fitted):
-        tried = [each for each in tried if is_torque_sign(each)]
+    rows = mistakes_of_light if fits(fitted) else mistakes
+    every = rows(fitted.arm.robot, moving)
+    tried = [each for each in every if each.name is FaultName.SIGN]
     found = ColumnSearch(fitted).one_by_one(tried, evidence)
     yield from correction_of(fitted, found, range(len(found), len(found) + 1))
 

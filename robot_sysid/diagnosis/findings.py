@@ -185,10 +185,9 @@ def search_or_corrected(
     Gains are compared, so that corrections are of the log as it was recorded, which ``scales`` has,
     also where the search itself has corrected its torque scales.
     """
-    # A log that one joint's torque explains needs no search for several. A zero may stand for
-    # another mounting.
+    # A log that one joint's factor explains needs no search for columns.
     named = {finding.about for finding in search.start.findings}
-    is_column = not (search.explains and named) or FaultName.ZERO in named
+    is_column = not (search.explains and named == {FaultName.TORQUE_SCALE})
     best = sorted(corrections(evidence, scales, is_column), key=lambda c: -c.gain)
     # Whatever explains torques in another unit, they are not right as they are.
     is_unit = is_foreign(scales.fitted)
