@@ -19,15 +19,16 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.columns import (
+    ANY_ANGLES,
     OF_COLUMNS,
     ZERO_STEP,
     Mistake,
     Reading,
     is_torque_sign,
     mistakes,
-    mistakes_of_light,
-    positions_of_joints,
+    turned_signs,
     zero_of,
+    zeros,
 )
 from robot_sysid.diagnosis.fault_columns import INERTIAL, fault_columns
 from robot_sysid.diagnosis.plausibility import fits, model_torque
@@ -179,13 +180,19 @@ def with_torques_of(sums: Sums, arm: ArmTerms, torque: Array) -> Sums:
 
 
 class ColumnSearch:
-    """Compares readings of a log on a part of its rows.
+    """Compares readings of a log on a part of its rows, for all searches in it.
 
     Args:
         fitted: the fit of the log.
+
+    Attributes:
+        moving: numbers of the joints that move in it.
     """
 
     def __init__(self, fitted: Fit) -> None:
+        self.fitted = fitted
+        moves = np.any(fitted.sums.counts, axis=0)
+        self.moving: list[int] = fitted.arm.indices[moves].tolist()
         question = with_priors(fitted.question, friction=0.0)
         needed = []
         for key, term in fitted.arm.terms.items():
@@ -256,25 +263,20 @@ class ColumnSearch:
             score, found = after, longer
         return found
 
-    def position(self, joints: Sequence[int]) -> list[Mistake]:
-        """Return the zero of one of some joints with which the log reads best; [] for none.
-
-        The angle of a zero is found to a degree.
-        """
+    def best_zero(self) -> list[Mistake]:
+        """Return the zero of one joint, to a degree, with which the log reads best; [] for none."""
         n = self.arm.robot.n_joints
 
-        def score(mistake: Mistake) -> float:
-            """Return the log likelihood without a mistake."""
-            return self.score([mistake], FINE_RESIDUAL)
+        def score(zero: Mistake) -> float:
+            """Return the log likelihood of the log without a zero."""
+            return self.score([zero], FINE_RESIDUAL)
 
-        tried = list(positions_of_joints(self.arm.robot, joints))
+        tried = [*zeros(self.arm.robot, self.moving, ANY_ANGLES)]
         if not tried:
             return []
-        most, best = max(
-            ((score(each), each) for each in tried), key=lambda way: way[0]
-        )
-        step = ZERO_STEP
+        most, best = max(((score(each), each) for each in tried), key=lambda w: w[0])
         joint = int(np.argmax(np.abs(best.reading.zeros)))
+        step = ZERO_STEP
         for _ in range(ZERO_ROUNDS):
             step *= 0.5
             angle = best.reading.zeros[joint]
@@ -383,54 +385,47 @@ def refit(fitted: Fit, reading: Reading, **priors: float) -> Fit:
     return solve_question(robot, recordings, question, beside=fault_columns)
 
 
-def single_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+def sign_correction(columns: ColumnSearch, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of signs that each gain alone, if there are any.
 
     A log that fits may have one at joints that make little torque.
     """
-    moving = moving_joints(fitted)
-    rows = mistakes_of_light if fits(fitted) else mistakes
-    every = rows(fitted.arm.robot, moving)
-    tried = [each for each in every if each.name is FaultName.SIGN]
-    found = ColumnSearch(fitted).one_by_one(tried, evidence)
-    yield from correction_of(fitted, found, range(len(found), len(found) + 1))
+    tried = [*turned_signs(columns.arm.robot, columns.moving)]
+    found = columns.one_by_one(tried, evidence)
+    yield from correction_of(columns.fitted, found, len(found))
 
 
-def position_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
+def zero_correction(columns: ColumnSearch, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of one joint's zero, by any angle, if it gains clearly.
 
     A small error of a zero is a row of the faults of torque.
     """
     evidence.advance()
-    found = ColumnSearch(fitted).position(moving_joints(fitted))
-    yield from correction_of(fitted, found, range(len(found), len(found) + 1))
+    yield from correction_of(columns.fitted, columns.best_zero(), 1)
 
 
-def column_correction(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
-    """Yield the correction of the mistakes that fit best together, if there are any."""
-    tried = [*mistakes(fitted.arm.robot, moving_joints(fitted))]
-    found = ColumnSearch(fitted).best_together(tried, evidence)
-    yield from correction_of(fitted, found, range(1, len(found) + 1))
+def column_correction(
+    columns: ColumnSearch, evidence: Evidence
+) -> Iterator[Correction]:
+    """Yield the correction of the mistakes that fit best together, if there are any.
 
-
-def moving_joints(fitted: Fit) -> list[int]:
-    """Return the numbers of the joints that move in a log."""
-    moves = np.any(fitted.sums.counts, axis=0)
-    moving: list[int] = fitted.arm.indices[moves].tolist()
-    return moving
+    They are the first ones with which the whole log fits.
+    """
+    tried = [*mistakes(columns.arm.robot, columns.moving)]
+    yield from correction_of(columns.fitted, columns.best_together(tried, evidence), 1)
 
 
 def correction_of(
-    fitted: Fit, found: Sequence[Mistake], numbers: Sequence[int]
+    fitted: Fit, found: Sequence[Mistake], fewest: int
 ) -> Iterator[Correction]:
     """Yield the correction of the first ones of some mistakes, if there are any.
 
-    They are as many as the least of some ``numbers`` with which the whole log fits, else the last.
+    They are as few as the whole log fits with, the ``fewest`` at least; all where none are enough.
     """
     robot = fitted.arm.robot
     after = fitted
     findings: list[Finding] = []
-    for number in numbers if found else ():
+    for number in range(max(fewest, 1), len(found) + 1):
         reading = Reading.of(robot.n_joints, found[:number])
         findings = [*column_findings(robot, found[:number], reading)]
         if reading.gravity is not None:

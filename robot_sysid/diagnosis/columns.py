@@ -26,13 +26,18 @@ from robot_sysid.signals.process import FilteredRecording
 _RIGHT_COLUMNS = "put the columns right with {columns FILE}"
 OF_COLUMNS = (FaultName.SIGN, FaultName.ORDER, FaultName.ANGLE_UNIT)
 """Mistakes whose words are their own, and which other columns put right."""
-_TURNS = np.radians((90.0, -90.0, 180.0))
+_TURNS = tuple(np.radians((90.0, -90.0, 180.0)).tolist())
 """Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
 _TIMES = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
 """Factors of time that are tried; the one that is right is found from the nearest."""
 ZERO_STEP = np.radians(30.0)
 """Step of the angles of a zero that are tried first: one that is off by half a step reads better
 with it than with none."""
+_HALF_TURN = round(np.pi / ZERO_STEP)
+ANY_ANGLES = tuple(
+    ZERO_STEP * step for step in range(1 - _HALF_TURN, _HALF_TURN + 1) if step
+)
+"""These angles, all around but for none [rad]."""
 _RADIANS_PER_DEGREE = np.radians(1.0)
 
 
@@ -134,10 +139,11 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     yield from time_bases(robot)
 
 
-def mistakes_of_light(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
-    """Yield those that a log may have which fits all the same: signs, as of a wrist without weight.
+def turned_signs(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield turned signs of positions, torques and both, of each joint and of all.
 
-    Exchanged wrists would pass for friction that no term has: of a KUKA LWR4+, they did.
+    A log may have one and fit all the same, as of a wrist without weight. Exchanged wrists would
+    pass for friction that no term has: of a KUKA LWR4+, they did.
     """
     for each in _QUANTITIES:
         yield from signs(robot, moving, each)
@@ -240,9 +246,11 @@ def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
             )
 
 
-def zeros(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
-    """Yield zeros of each joint that are turned by right angles."""
-    for joint, angle in product(moving, _TURNS.tolist()):
+def zeros(
+    robot: RobotModel, moving: Sequence[int], angles: Sequence[float] = _TURNS
+) -> Iterator[Mistake]:
+    """Yield zeros of each joint that are turned by angles [rad], by right ones unless stated."""
+    for joint, angle in product(moving, angles):
         if not robot.is_slide[joint]:
             yield zero_of(robot.n_joints, joint, angle)
 
@@ -251,15 +259,6 @@ def zero_of(n: int, joint: int, angle: float) -> Mistake:
     """Return the zero of one of n joints that an angle puts right [rad]."""
     turned = angle * np.eye(n)[joint]
     return Mistake(FaultName.ZERO, "", replace(Reading.of(n), zeros=turned))
-
-
-def positions_of_joints(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
-    """Yield zeros that are off by any angle, in steps."""
-    for joint in moving:
-        if not robot.is_slide[joint]:
-            steps = int(np.rint(np.pi / ZERO_STEP))
-            for number in (*range(1 - steps, 0), *range(1, steps + 1)):
-                yield zero_of(robot.n_joints, joint, number * ZERO_STEP)
 
 
 def mountings(robot: RobotModel) -> Iterator[Mistake]:

@@ -8,16 +8,14 @@ does not fit: how much is unexplained, at which joints, and what is missing ther
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import chain
-
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import (
+    ColumnSearch,
     Correction,
     Evidence,
     column_correction,
-    position_correction,
-    single_correction,
+    sign_correction,
+    zero_correction,
 )
 from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.misfits import (
@@ -97,8 +95,9 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     # An arm that is compared with its model has played the motion: its columns are those of its
     # motors, and a sign or an order would pass for what has happened to it.
     is_of_model = fitted.question.differing is not None
+    columns = ColumnSearch(fitted)
     if not (is_experiment or is_of_model):
-        search = search_or_single(search, evidence, scales)
+        search = search_or_single(search, columns, evidence, scales)
     # Links that may be off hide much of a direction that was stated the wrong way round.
     is_fitting = (
         fits(fitted)
@@ -106,7 +105,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
         and fitted.arm.robot.gravity is None
     )
     if not (is_experiment or is_fitting or is_of_model):
-        search = search_or_corrected(search, evidence, scales)
+        search = search_or_corrected(search, columns, evidence, scales)
     right = search.start.fit
     named = [*search.start.findings]
     is_corrected = any(each.about in MISTAKES for each in named)
@@ -141,7 +140,7 @@ def is_like_gravity(score: Score) -> bool:
 
 
 def search_or_single(
-    search: Search, evidence: Evidence, scales: ScaleCorrections
+    search: Search, columns: ColumnSearch, evidence: Evidence, scales: ScaleCorrections
 ) -> Search:
     """Return a search in a log, or the one in a log with mistakes of single joints put right.
 
@@ -149,22 +148,23 @@ def search_or_single(
     others contradict is simpler.
     """
     fitted = scales.fitted
-    tried = [*single_correction(fitted, evidence)]
+    is_fitting = fits(fitted)
+    tried = [*sign_correction(columns, evidence)]
     if not any(fits(each.fit) for each in tried):
         tried += [] if scales.alone is None else [scales.alone]
-        if search.winners or not fits(fitted) or scales.scales.is_odd:
-            positions = position_correction(fitted, evidence)
-            tried += [each for each in positions if fits(each.fit)]
+        if search.winners or not is_fitting or scales.scales.is_odd:
+            turned = zero_correction(columns, evidence)
+            tried += [each for each in turned if fits(each.fit)]
     for each in tried:
         # Columns of another arm's log fit its model no better in any order.
-        is_right = is_plausible(each.fit) and not is_sibling(each.fit)
-        if each.gain < CLEAR or not is_right:
+        is_this_arm = is_plausible(each.fit) and not is_sibling(each.fit)
+        if each.gain < CLEAR or not is_this_arm:
             continue
         corrected = search_faults(each, evidence, scales)
         # A log that fits needs no other columns to be right in everything else: a wrong sign that
         # friction without a term suggests leaves a force or a tilt.
-        is_right = all(score.level is Level.SAYS for score in corrected.winners)
-        if fits(fitted) and not is_right:
+        is_all = all(score.level is Level.SAYS for score in corrected.winners)
+        if is_fitting and not is_all:
             continue
         blamed = {score.name for score in search.winners}
         blamed |= {finding.about for finding in search.start.findings}
@@ -178,17 +178,20 @@ def search_or_single(
 
 
 def search_or_corrected(
-    search: Search, evidence: Evidence, scales: ScaleCorrections
+    search: Search, columns: ColumnSearch, evidence: Evidence, scales: ScaleCorrections
 ) -> Search:
     """Return a search in a log, or the one in its likeliest correction if that explains more.
 
     Gains are compared, so that corrections are of the log as it was recorded, which ``scales`` has,
     also where the search itself has corrected its torque scales.
     """
-    # A log that one joint's factor explains needs no search for columns.
+    tried = [*scales.each()]
     named = {finding.about for finding in search.start.findings}
-    is_column = not (search.explains and named == {FaultName.TORQUE_SCALE})
-    best = sorted(corrections(evidence, scales, is_column), key=lambda c: -c.gain)
+    # A log that one joint's factor explains needs no search for columns.
+    if not (search.explains and named == {FaultName.TORQUE_SCALE}):
+        tried += column_correction(columns, evidence)
+    likely = [each for each in tried if is_likely(each, scales.fitted)]
+    best = sorted(likely, key=lambda each: -each.gain)
     # Whatever explains torques in another unit, they are not right as they are.
     is_unit = is_foreign(scales.fitted)
     searches = [search_faults(each, evidence, scales) for each in best[:1]]
@@ -196,25 +199,16 @@ def search_or_corrected(
     return max(searches, key=lambda each: (each.explains, is_unit or each.gain))
 
 
-def corrections(
-    evidence: Evidence, scales: ScaleCorrections, is_column: bool
-) -> Iterator[Correction]:
-    """Yield corrections of a log that leave clearly less, in an arm that may exist.
-
-    Those of several columns at once are looked for if it may be a mistake of columns.
-    """
-    fitted = scales.fitted
+def is_likely(tried: Correction, fitted: Fit) -> bool:
+    """Return whether a correction of a log leaves clearly less, in an arm that may exist."""
     before = fitted.unexplained_share
-    of_columns = column_correction(fitted, evidence) if is_column else ()
-    for tried in chain(scales.each(), of_columns):
-        after = tried.fit.unexplained_share
-        is_less = after < CLEARLY_LESS * before or after < LITTLE < before
-        is_turned_back = drives(fitted) and not drives(tried.fit)
-        is_clear = tried.gain > CLEAR and (is_less or is_turned_back)
-        # Links fit torques in another unit, if they may be off by as much.
-        is_right = is_clear or is_foreign(fitted)
-        if is_right and is_plausible(tried.fit) and not is_sibling(tried.fit):
-            yield tried
+    after = tried.fit.unexplained_share
+    is_less = after < CLEARLY_LESS * before or after < LITTLE < before
+    is_turned_back = drives(fitted) and not drives(tried.fit)
+    is_clear = tried.gain > CLEAR and (is_less or is_turned_back)
+    # Links fit torques in another unit, if they may be off by as much.
+    is_right = is_clear or is_foreign(fitted)
+    return is_right and is_plausible(tried.fit) and not is_sibling(tried.fit)
 
 
 def unexplained_findings(fitted: Fit, search: Search) -> list[Finding]:
