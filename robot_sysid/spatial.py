@@ -28,6 +28,8 @@ _OF_THETA = np.array([[4, 5, 6, 1], [5, 7, 8, 2], [6, 8, 9, 3], [1, 2, 3, 0]])
 _OF_SIX = _OF_THETA[:3, :3] - 4
 # Entries of its upper triangle, in the same order.
 _UPPER = np.triu_indices(3)
+# Index in [xx, xy, xz, yy, yz, zz] of each of MuJoCo's xx yy zz xy xz yz.
+_FULL = np.array([0, 3, 5, 1, 2, 4])
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -63,7 +65,12 @@ def six_from_symmetric(matrix: Array) -> Array:
 
 def fullinertia_from_symmetric(matrix: Array) -> Array:
     """Return MuJoCo's order [xx, yy, zz, xy, xz, yz] of a (3, 3) symmetric matrix."""
-    return six_from_symmetric(matrix)[[0, 3, 5, 1, 2, 4]]
+    return six_from_symmetric(matrix)[_FULL]
+
+
+def six_from_fullinertia(full: Array) -> Array:
+    """Return [xx, xy, xz, yy, yz, zz] from MuJoCo's order [xx, yy, zz, xy, xz, yz]."""
+    return full[np.argsort(_FULL)]
 
 
 def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:

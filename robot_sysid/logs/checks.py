@@ -195,9 +195,10 @@ def usable_rows(
         listed = ", ".join(compress(titles, is_empty))
         empty = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
     rows, notes = ordered_rows(table, columns, cells, np.flatnonzero(is_usable))
-    notes += even_notes(columns, cells, rows)
+    time, even_notes = even_stamps(columns, cells, rows)
+    cells[rows, 1] = time
+    notes += even_notes
     # Rows after a step backwards that are not yet later than all before are not counted.
-    time = cells[rows, 1]
     step = np.diff(time)
     after = lines[rows][1:]
     n_read = int(np.count_nonzero(~is_foreign))
@@ -323,21 +324,23 @@ def is_one_recording(time: Array, q: Array, order: Rows) -> bool:
     return bool(is_apart and new <= MOST_MOVED_WAY * lost)
 
 
-def even_notes(columns: ColumnMap, cells: Array, rows: Rows) -> Iterator[str]:
-    """Put evenly spaced rows at even instants where their stamps are not; yield a note on it."""
+def even_stamps(
+    columns: ColumnMap, cells: Array, rows: Rows
+) -> tuple[Array, list[str]]:
+    """Return the time (K,) of rows [s], at even instants where their stamps are not, and a note."""
     time = cells[rows, 1]
     if columns.joint_time or len(time) < FEWEST_SAMPLES or np.any(np.diff(time) < 0.0):
-        return
+        return time, []
     even = even_time(time, positions(columns, cells, rows))
     if even is None:
-        return
-    cells[rows, 1] = even
+        return time, []
     off = np.max(np.abs(time - even))
-    yield (
+    note = (
         f"time stamps are up to {1e3 * off:.3g} ms off, as of arrival or of few digits: positions "
         f"show that rows are evenly spaced, and they are taken at {1.0 / sampling_period(even):.6g}"
         " Hz"
     )
+    return even, [note]
 
 
 def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator[str]:

@@ -35,8 +35,6 @@ a mended number: one that is flat to the last digit was not mended by it."""
 FAR_FROM_POSSIBLE = 0.05
 """What the largest principal moment has over the sum of the other two, or the least one below zero,
 as a share of the largest, from which on an inertia has a wrong number: rounding leaves less."""
-# Places in MuJoCo's order (xx yy zz xy xz yz) of the numbers of a URDF.
-_FROM_FULL = (0, 3, 4, 1, 5, 2)
 # Numbers of one inertia that are moments.
 _MOMENTS = (0, 3, 5)
 
@@ -132,7 +130,9 @@ def _oddness(six: Array, place: int, value: float, mass: float, length: float) -
         return float(size + abs(np.log10(value / (SLENDER * others))))
     if value == -six[place]:
         return float(size)
-    row, column = np.argwhere(spatial.symmetric_from_six(np.arange(6.0)) == place)[0]
+    row, column = np.argwhere(
+        spatial.symmetric_from_six(np.arange(6, dtype=float)) == place
+    )[0]
     expected = PRODUCT * np.sqrt(moments[row] * moments[column])
     return float(size + abs(np.log10(abs(value) / expected)))
 
@@ -148,7 +148,7 @@ def wrong_numbers_of(document: ModelDocument) -> Iterator[str]:
         mass = [*_floats(node.get("mass"))]
         if len(stated) != 6 or len(mass) != 1:
             continue
-        six = np.array(stated)[list(_FROM_FULL)]
+        six = spatial.six_from_fullinertia(np.array(stated))
         steps = [np.array([*_floats(child.get("pos"))]) for child in body.iter("body")]
         lengths = [float(np.linalg.norm(step)) for step in steps[1:2]]
         lengths.append(2.0 * float(np.linalg.norm([*_floats(node.get("pos"))])))
@@ -170,10 +170,12 @@ def nearest_possible(inertia: Array) -> Array | None:
     Nearest is the sum of squares of second moments tr(I)/2 1 - I, the part of the pseudo-inertia
     about the centre of mass that is not mass: negative ones become next to nothing.
     """
-    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    values, axes = np.linalg.eigh(second)
+    body = spatial.theta_from_com(1.0, np.zeros(3), inertia)
+    matrix = spatial.pseudo_inertia(body)
+    values, axes = np.linalg.eigh(matrix[:3, :3])
     size = float(np.sum(np.maximum(values, 0.0)))
     if size <= 0.0:
         return None
-    kept = (axes * np.maximum(values, 2.0 * POSSIBLE * size)) @ axes.T
-    return np.asarray(np.trace(kept) * np.eye(3) - kept)
+    matrix[:3, :3] = (axes * np.maximum(values, 2.0 * POSSIBLE * size)) @ axes.T
+    _, _, nearest = spatial.com_from_theta(spatial.theta_from_pseudo_inertia(matrix))
+    return nearest

@@ -151,18 +151,19 @@ def split_at_gaps(samples: Recording) -> tuple[Recording, ...]:
     many as fit into 10 minutes are returned, spread evenly. Pieces are views. A log that is not cut
     is its only piece, and so is one whose pieces are all too short.
     """
-    step = np.diff(samples.time)
-    longest_step = max(LONGEST_GAP, GAP_SAMPLES * np.median(step))
-    cuts = np.flatnonzero(step > longest_step) + 1
-    pieces = []
-    edges = [0, *cuts.tolist(), len(samples)]
-    for first, last in zip(edges, edges[1:]):
-        piece = samples[first:last]
-        if piece.duration >= SHORTEST_PIECE:
-            pieces.append(piece)
+    pieces = [samples[rows] for rows in between_gaps(samples.time)]
+    pieces = [piece for piece in pieces if piece.duration >= SHORTEST_PIECE]
     if samples.duration > MOST_TIME:
         pieces = [*cut_pieces(pieces, PIECE_LENGTH)]
     return tuple(select_pieces(pieces, MOST_TIME)) or (samples,)
+
+
+def between_gaps(time: Array) -> Iterator[slice]:
+    """Yield the rows between the gaps of a log, by its time stamps (N,) [s]."""
+    step = np.diff(time)
+    longest_step = max(LONGEST_GAP, GAP_SAMPLES * float(np.median(step)))
+    edges = [0, *(np.flatnonzero(step > longest_step) + 1).tolist(), len(time)]
+    yield from map(slice, edges, edges[1:])
 
 
 def duration(pieces: Iterable[Recording]) -> float:

@@ -8,12 +8,10 @@ joints.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from robot_sysid.records import Array
-from robot_sysid.signals.resampling import GAP_SAMPLES, LONGEST_GAP, is_even
+from robot_sysid.signals.resampling import between_gaps, is_even
 
 WINDOW = 100
 """Rows in which the stamps' typical lateness is compared: a row that is lost shifts it for good."""
@@ -37,7 +35,7 @@ def even_time(time: Array, q: Array) -> Array | None:
     """
     even = time.copy()
     is_changed = False
-    for rows in stretches(time):
+    for rows in between_gaps(time):
         its_time = time[rows]
         is_rising = np.all(np.diff(its_time) > 0.0)
         if len(its_time) < 2 or (is_rising and is_even(its_time)):
@@ -48,15 +46,6 @@ def even_time(time: Array, q: Array) -> Array | None:
         even[rows] = instants
         is_changed = True
     return even if is_changed and np.all(np.diff(even) > 0.0) else None
-
-
-def stretches(time: Array) -> Iterator[slice]:
-    """Yield the rows between the gaps of a log, by its stamps (N,)."""
-    step = np.diff(time)
-    longest = max(LONGEST_GAP, GAP_SAMPLES * float(np.median(step)))
-    edges = [0, *(np.flatnonzero(step > longest) + 1).tolist(), len(time)]
-    for first, last in zip(edges, edges[1:]):
-        yield slice(first, last)
 
 
 def fitted_instants(time: Array) -> Array | None:
