@@ -91,6 +91,8 @@ MOUNTING_TILT = 15.0
 true one, usually half as much [degrees]."""
 FULL_TURN = 360.0
 """[degrees]"""
+RIGHT_ANGLE = np.pi / 2.0
+"""[rad]"""
 RATIOS = np.array([0.2, 0.25, 1.0 / 3.0, 0.4, 0.5, 2.0, 2.5, 3.0, 4.0, 5.0])
 """Ratios of usual rates of controllers; loops of 5 ms are taken for ones of 1 ms, hardly more."""
 NEAR_RATIO = 0.08
@@ -264,7 +266,11 @@ class ColumnSearch:
         return found
 
     def best_zero(self) -> list[Mistake]:
-        """Return the zero of one joint, to a degree, with which the log reads best; [] for none."""
+        """Return the zero of one joint, to a degree, with which the log reads best; [] for none.
+
+        One that is off by right angles may also be another mounting of the base, with which
+        ``best_together`` compares it; one that is off by little is a fault of the torque.
+        """
         n = self.arm.robot.n_joints
 
         def score(zero: Mistake) -> float:
@@ -284,8 +290,9 @@ class ColumnSearch:
             scored = [(most, best), *((score(each), each) for each in ways)]
             most, best = max(scored, key=lambda way: way[0])
         is_clear = most > self.score([], FINE_RESIDUAL) + CLEAR
-        is_small = np.max(np.abs(best.reading.zeros)) < np.radians(TURNED)
-        return [best] if is_clear and not is_small else []
+        angle = best.reading.zeros[joint]
+        beside = abs(angle - RIGHT_ANGLE * round(angle / RIGHT_ANGLE))
+        return [best] if is_clear and beside > np.radians(TURNED) else []
 
     def _signs(self, tried: Sequence[Mistake]) -> tuple[float, list[Mistake]]:
         """Return the likeliest turned signs of torques, two at least, with their likelihood."""
