@@ -163,8 +163,8 @@ def search_or_single(
         corrected = search_faults(each, evidence, scales)
         # A log that fits needs no other columns to be right in everything else: a wrong sign that
         # friction without a term suggests leaves a force or a tilt.
-        is_all = all(score.level is Level.SAYS for score in corrected.winners)
-        if is_fitting and not is_all:
+        leaves_none = all(score.level is Level.SAYS for score in corrected.winners)
+        if is_fitting and not leaves_none:
             continue
         blamed = {score.name for score in search.winners}
         blamed |= {finding.about for finding in search.start.findings}

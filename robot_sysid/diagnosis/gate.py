@@ -191,10 +191,12 @@ def wide(priors: Priors) -> Priors:
 def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings, each once: the most severe first, then those that need less of a log.
 
-    Beside doubts of the samples, what is only said of the model is their consequence.
+    Beside doubts of the samples, or of what the torque is, what is only said of the model is their
+    consequence.
     """
     is_doubted = any(
-        each.about in OF_SAMPLES and each.level is not Level.SAYS for each in found
+        each.about in (*OF_SAMPLES, *OF_TORQUE) and each.level is not Level.SAYS
+        for each in found
     )
     kept = [
         each

@@ -91,6 +91,9 @@ def shares_of(fitted: Fit) -> Shares:
     names = [f"{kind} of {joint}" for kind in ("weight", "inertia") for joint in joints]
     sums = fitted.sums
     count = len(joints)
+    # The columns of the view, of each joint's rows: those of what is free, as they are; then, for
+    # each joint, the weight of all other links of the model in its own rows, and their torque less
+    # that weight.
     mix = np.zeros((count, len(sums.names), len(kept) + 2 * count))
     mix[:, sums.at(kept), np.arange(len(kept))] = 1.0
     others = [name for link in arm.others for name in arm.links[link]]

@@ -9,7 +9,7 @@ import pytest
 
 from rigs.arms.wrong_arms import truth_of
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.gate import judge, require_acceptable, usable_fit
+from robot_sysid.diagnosis.gate import in_order, judge, require_acceptable, usable_fit
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
@@ -134,6 +134,15 @@ def test_a_torque_that_was_computed_is_named_before_a_model_that_is_off(four_joi
     truth = truth_of(four_joints.robot, seed=6, wrong_links=0.3)
     (finding,) = found_in(truth, tau=truth.rigid)
     assert finding.about == "computed"
+
+
+@pytest.mark.parametrize("about", [FaultName.CLOCK, FaultName.GRAVITY])
+def test_a_note_on_the_model_beside_what_needs_less_is_its_consequence(about):
+    note = Finding(Level.SAYS, FaultName.MODEL, "a sibling of this arm")
+    first = Finding(Level.REFUSES, about, "no torque of this arm")
+    assert in_order([note, first]) == (first,)
+    later = Finding(Level.REFUSES, FaultName.SIGN, "a sign is wrong")
+    assert in_order([note, later]) == (later, note)
 
 
 def test_an_accepted_doubt_is_said_and_passes_no_refusal(four_joints):
