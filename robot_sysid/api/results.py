@@ -161,7 +161,7 @@ class Result(Identification):
 
     def __repr__(self) -> str:
         mass = with_error(self.mass, self.standard_errors.get("m"), "kg")
-        usable = "usable" if self.trustworthy else "only for torques"
+        usable = "usable" if self.trustworthy else "of limited use"
         usable = f"not to be used: {self.failure}" if self.failure else usable
         return f"<Result {self.body.name} of {self.robot.path.name}: {mass}, {usable}>"
 

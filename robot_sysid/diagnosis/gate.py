@@ -286,10 +286,10 @@ def usable_fit(
         SysidError: there is a doubt that is not accepted.
     """
     notes = [*shared_notes({log.name: log.notes for log in judged.logs})]
+    passed = accepted_doubts(judged.findings, accepted)
     for finding in judged.findings:
-        is_accepted = finding.level is Level.DOUBTS and finding.about in accepted
-        if finding.level is Level.SAYS or is_accepted:
-            start = "accepted: " if is_accepted else ""
+        if finding.level is Level.SAYS or finding in passed:
+            start = "accepted: " if finding in passed else ""
             notes.append(f"{start}{finding.sentence} [{finding.about}]")
     try:
         require_acceptable(judged.logs, judged.findings, accepted)
@@ -298,6 +298,13 @@ def usable_fit(
         raise
     assert judged.fit is not None
     return judged.fit, (*notes, *judged.notes)
+
+
+def accepted_doubts(
+    found: Iterable[Finding], accepted: Collection[str]
+) -> list[Finding]:
+    """Return the findings that are doubts of accepted names."""
+    return [f for f in found if f.level is Level.DOUBTS and f.about in accepted]
 
 
 def require_acceptable(
@@ -339,12 +346,8 @@ def require_acceptable(
 
 def _still_refused(found: Sequence[Finding], accepted: Collection[str]) -> str:
     """Return what refusals do to the doubts that were accepted; "" without any."""
-    passed = [
-        finding.about
-        for finding in found
-        if finding.level is Level.DOUBTS and finding.about in accepted
-    ]
+    passed = accepted_doubts(found, accepted)
     if not passed:
         return ""
-    option = option_setting("accept", *dict.fromkeys(passed))
+    option = option_setting("accept", *dict.fromkeys(f.about for f in passed))
     return f" ({option} accepts doubts of that name alone, and these findings refuse)"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, SelfTestConfig
-from robot_sysid.diagnosis.gate import judge, usable_fit
+from robot_sysid.diagnosis.gate import accepted_doubts, judge, usable_fit
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
@@ -33,11 +33,13 @@ from robot_sysid.records import (
     RobotModel,
     join_recordings,
 )
-from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.messages import Detail, Progress, Remark
 from robot_sysid.records.option_fields import SCALE, joint_factors
+from robot_sysid.results import verdicts
 from robot_sysid.results.identification import link_result
 from robot_sysid.results.payload import payload_result
 from robot_sysid.results.record import Identification
+from robot_sysid.results.rules import OF_ACCEPTED
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 from robot_sysid.simulation.plant import load_plant, plant_measurements
@@ -78,7 +80,15 @@ def identify_logs(
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test_notes))
     origin = origin_of(logs, options.measurements)
-    return _result(fitted, origin, notes, progress, tests)
+    passed = accepted_doubts(judged.findings, options.accept)
+    result = _result(fitted, origin, notes, progress, tests)
+    return _with_doubts(result, passed)
+
+
+def _with_doubts(result: Identification, doubts: Sequence[Remark]) -> Identification:
+    """Return a result whose verdict counts the doubts that were accepted."""
+    remarks = (*result.remarks, *verdicts.judge(OF_ACCEPTED, doubts))
+    return replace(result, remarks=remarks)
 
 
 def identify_plant(
@@ -210,7 +220,10 @@ def identify_payload(
     # Scales are those of the log before its torques were divided by known ones.
     divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
     result = payload_result(fitted, weighed, file, flange, origin, notes, divided)
-    return result if file is None else with_promise(result, fitted, file)
+    if file is not None:
+        result = with_promise(result, fitted, file)
+    passed = accepted_doubts(judged.findings, config.log.accept)
+    return _with_doubts(result, passed)
 
 
 def order_positions(logs: Sequence[Recording], order: str | None) -> Array | None:

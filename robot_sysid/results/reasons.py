@@ -32,7 +32,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.levels import INTERVAL, SURE
-from robot_sysid.records.messages import percent, torque_unit, with_error
+from robot_sysid.records.messages import Remark, percent, torque_unit, with_error
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results.record import Elsewhere
 from robot_sysid.wording import option_name
@@ -242,6 +242,13 @@ def poor_elsewhere(errors: Elsewhere) -> Iterator[str]:
     share = errors.after.relative_error
     if share > WORST_FILE:
         yield f"on other motions about {percent(share)} of the torque is expected to be wrong"
+
+
+def accepted_doubts(doubts: Sequence[Remark]) -> Iterator[str]:
+    """Yield which doubts of logs were accepted."""
+    names = dict.fromkeys(str(doubt.about) for doubt in doubts)
+    if names:
+        yield f"accepted in spite of doubts: {', '.join(names)}"
 
 
 def is_better(errors: ModelErrors) -> bool:

@@ -12,7 +12,7 @@ from robot_sysid.estimate.payload import Contradiction
 from robot_sysid.estimate.trust import MissedFriction
 from robot_sysid.records import Flange, ModelErrors, RobotModel, Validation
 from robot_sysid.records.levels import INTERVAL, UNEXPLAINED
-from robot_sysid.records.messages import percent
+from robot_sysid.records.messages import Remark, percent
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results import reasons
 from robot_sysid.results.record import Elsewhere
@@ -118,6 +118,12 @@ OF_OTHER_MOTIONS: tuple[Rule[Elsewhere], ...] = (
     Rule(Verdict.LIKE_MOTIONS, reasons.poor_elsewhere),
 )
 """Rules on the errors to expect of the file to use on motions that nobody recorded."""
+
+OF_ACCEPTED: tuple[Rule[Sequence[Remark]], ...] = (
+    Rule(Verdict.ACCEPTED, reasons.accepted_doubts),
+)
+"""Rules on the doubts of logs that the user accepted. The user may know that one does no harm, a
+result does not: it is right only if that is so."""
 
 
 # ---- a payload

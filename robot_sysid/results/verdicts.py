@@ -30,6 +30,7 @@ class Verdict(str, Enum):
     NO_BETTER = "NO_BETTER"
     TORQUES_ONLY = "TORQUES_ONLY"
     LIKE_MOTIONS = "LIKE_MOTIONS"
+    ACCEPTED = "ACCEPTED"
     INERTIA_NOT_KNOWN = "INERTIA_NOT_KNOWN"
     PARTLY_FROM_MODEL = "PARTLY_FROM_MODEL"
     BETTER = "BETTER"
@@ -130,6 +131,12 @@ MEANINGS: Mapping[Verdict, Meaning] = {
         "the log shows too little of the arm for other motions than its own: record one in which "
         "all joints move, and identify the arm from both",
         "Only for motions like the log's",
+    ),
+    Verdict.ACCEPTED: Meaning(
+        Level.DOUBTS,
+        "nothing in the log can tell whether that does harm: before a controller uses the result, "
+        "compare it with something known, such as a weighed mass",
+        "Usable only if the accepted doubts do no harm",
     ),
     Verdict.INERTIA_NOT_KNOWN: Meaning(
         Level.SAYS,

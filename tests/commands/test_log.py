@@ -6,13 +6,15 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rigs.arms import small_arms
 from rigs.arms.wrong_arms import truth_of
-from rigs.files.command_line import CommandLine
+from rigs.files import schemas
+from rigs.files.command_line import OUT, CommandLine
 from rigs.logs import recorded
 from rigs.logs.payload_logs import TrueArm, wide_motion
 from robot_sysid.commands.remedies import remedies
@@ -183,6 +185,20 @@ def test_a_warning_stops_unless_it_is_accepted(command):
     assert "8 times in all, too much" in message and "--accept held" in message
     printed = command.run("log late.csv arm.xml --accept held")
     assert "doubts: a sensor failed from 0.80 s to 1.20 s (joint1)" in printed.out
+
+
+def test_a_result_in_spite_of_a_doubt_is_not_called_usable_without_that_word(command):
+    command.refused("identify arm.xml late.csv", code=1)
+    assert not Path(OUT, "updated_model.xml").exists()
+    printed = command.run("identify arm.xml late.csv --accept held")
+    assert (
+        "\nUsable only if the accepted doubts do no harm: torque error" in printed.out
+    )
+    content = schemas.check(OUT / "params.json")
+    assert content["status"] == "ACCEPTED" and not content["valid"]["trustworthy"]
+    (remark,) = (each for each in content["remarks"] if each["level"] == "doubts")
+    assert remark["text"].startswith("accepted in spite of doubts: held")
+    assert Path(OUT, "updated_model.xml").exists()
 
 
 def test_titles_cannot_steer_the_terminal(command):

@@ -9,7 +9,13 @@ import pytest
 
 from rigs.arms.wrong_arms import truth_of
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.gate import in_order, judge, require_acceptable, usable_fit
+from robot_sysid.diagnosis.gate import (
+    accepted_doubts,
+    in_order,
+    judge,
+    require_acceptable,
+    usable_fit,
+)
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
@@ -151,6 +157,9 @@ def test_an_accepted_doubt_is_said_and_passes_no_refusal(four_joints):
     judged = judge(robot, [jumping], Question(EstimationOptions()), Progress())
     _, notes = usable_fit(judged, ("clock",), Progress())
     assert any(note.startswith("accepted: the clock jumps") for note in notes)
+    (passed,) = accepted_doubts(judged.findings, ("clock",))
+    assert passed.about is FaultName.CLOCK
+    assert not accepted_doubts(judged.findings, ("zero",))
     refusal = Finding(Level.REFUSES, FaultName.SIGN, "a sign is wrong")
     other = Finding(Level.REFUSES, FaultName.ORDER, "joints are exchanged")
     found = (*judged.findings, refusal, other)

@@ -21,6 +21,7 @@ from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results import reasons
 from robot_sysid.results.notes import wrong_links
 from robot_sysid.results.rules import (
+    OF_ACCEPTED,
     OF_ARM,
     OF_FILES,
     OF_OTHER_MOTIONS,
@@ -289,7 +290,7 @@ def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
 
 
 def test_every_verdict_has_a_meaning_and_a_condition_that_leads_to_it():
-    rules = (*OF_ARM, *OF_OTHER_MOTIONS, *OF_PAYLOAD, *OF_SELF_TEST)
+    rules = (*OF_ARM, *OF_OTHER_MOTIONS, *OF_ACCEPTED, *OF_PAYLOAD, *OF_SELF_TEST)
     assert {rule.verdict for rule in rules} == {*Verdict} == MEANINGS.keys()
 
 
