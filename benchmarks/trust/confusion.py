@@ -32,7 +32,8 @@ rightly     every fault has its right name (and that of the joint or body, where
 doubt       no right name, or not of every fault: a finding lists several causes that fit equally
             well, or says that a part of the torque is not explained, or the verdict is against it
 misnamed    all findings have other names, the right one blames a second joint, or a command crashes
-silent      nothing is said
+silent      nothing is said; at the end, too, how often that did no harm: the answer is no use, or
+            every number (masses, centres, inertias, rotors, friction) is within four stated errors
 
 Then they are counted by what they cost:
 
@@ -81,7 +82,7 @@ from benchmarks.trust.answers import (
 from benchmarks.trust.confusion_causes import CAUSES as USUAL_CAUSES
 from benchmarks.trust.confusion_causes import RIGHT, Cause, Scene, draw_scene
 from benchmarks.trust.confusion_mistakes import MISTAKES
-from benchmarks.trust.real_arms import arms_parser
+from benchmarks.trust.real_arms import arms_parser, errors_of
 from rigs.arms.drawn_models import model_path
 from rigs.arms.wrong_arms import DEVIATIONS
 from rigs.files.params import motors, rows
@@ -102,6 +103,8 @@ SURE = 2.0
 """Part of the true mass, and stated errors, by which an answer is off."""
 SURE_OF_MANY = 3.0
 """The same errors where one of several other links counts."""
+SURE_OF_ALL = 4.0
+"""The same errors where one of all numbers counts, about fifty: a chance of 0.3 % by noise."""
 SHOWN_TEXT = 110
 """Characters of a finding that are printed."""
 ALTERNATIVES = "; or "
@@ -157,6 +160,7 @@ class Answer:
         is_trusted: whether the verdict is for it.
         motors: those over two joints that are found.
         remarks: what is said of the result.
+        worst: quantity that is most of its stated errors off, and that number of them.
         crash: the last line of a traceback; "" for none.
     """
 
@@ -167,6 +171,7 @@ class Answer:
     motors: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     other_masses: tuple[tuple[float, float, float], ...] = ()
+    worst: tuple[str, float] = ("", 0.0)
     crash: str = ""
 
     @property
@@ -195,7 +200,7 @@ class Answer:
         ]
         return (
             f"mass {self.mass:.3g} ± {self.error:.2g} kg ({self.true_mass:.3g})"
-            f"{''.join(others)}, {verdict}"
+            f"{''.join(others)}, {self.worst[0]} {self.worst[1]:.1f} errors off, {verdict}"
         )
 
 
@@ -270,6 +275,13 @@ class Outcome:
             return "doubt" if is_untrusted and cause.faults else "silent"
         is_withheld = all(f.about == "unexplained" for f in self.findings)
         return "doubt" if any(named) or ties or is_withheld else "misnamed"
+
+    @property
+    def is_harmless(self) -> bool:
+        """Return whether there is an answer in which no number is clearly off, or of no use."""
+        if self.answer is None:
+            return False
+        return not self.answer.is_trusted or self.answer.worst[1] <= SURE_OF_ALL
 
     def classify_costs(self) -> Iterator[str]:
         """Yield what the log costs its user, see the module."""
@@ -355,7 +367,19 @@ class Judge:
             tuple(motors(content)),
             tuple(remark["text"] for remark in content["remarks"]),
             tuple(self.other_masses(content)),
+            self.worst_number(content),
         )
+
+    def worst_number(self, content: dict[str, Any]) -> tuple[str, float]:
+        """Return the quantity that is most of its stated errors off, and how many of them."""
+        ratios = [
+            (quantity, abs(off) / stated)
+            for quantity, off, stated, _ in errors_of(
+                self.scene, rows(content), content["curves"]
+            )
+            if np.isfinite(stated) and stated > 0.0
+        ]
+        return max(ratios, key=lambda pair: pair[1], default=("", 0.0))
 
     def other_masses(
         self, content: dict[str, Any]
@@ -462,21 +486,25 @@ class Case:
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts of logs by naming, cost and names of findings, and times of the checks [s]."""
+    """Counts of logs by naming, cost and names of findings, times of the checks [s], and counts of
+    logs without harm by naming."""
 
     namings: Counter[str]
     costs: Counter[str]
     names: Counter[str]
     seconds: list[float]
+    harmless: Counter[str]
 
     @staticmethod
     def empty() -> Tally:
         """Return the counts of no logs."""
-        return Tally(Counter(), Counter(), Counter(), [])
+        return Tally(Counter(), Counter(), Counter(), [], Counter())
 
     def add(self, case: Case, outcome: Outcome) -> None:
         """Count one log: how it is named, what its answer costs, names and time."""
-        self.namings[outcome.classify_naming(CAUSES[case.cause])] += 1
+        naming = outcome.classify_naming(CAUSES[case.cause])
+        self.namings[naming] += 1
+        self.harmless[naming] += outcome.is_harmless
         self.costs.update(outcome.classify_costs())
         self.names[outcome.names] += 1
         self.seconds.append(outcome.seconds)
@@ -487,6 +515,7 @@ class Tally:
         self.costs.update(other.costs)
         self.names.update(other.names)
         self.seconds.extend(other.seconds)
+        self.harmless.update(other.harmless)
 
     def line(self, row: str) -> str:
         """Return the row of the table."""
@@ -586,6 +615,8 @@ def main() -> int:
     print()
     for naming in NAMINGS:
         print_share(f"wrong logs, {naming}", wrong_total.namings[naming], wrong_count)
+    harmless = wrong_total.harmless["silent"]
+    print_share("wrong logs, silent and harmless", harmless, wrong_count)
     right_named = right_count - right_total.namings["silent"]
     print_share("right logs named", right_named, right_count)
     print_share("right logs stopped", right_total.costs["stopped"], right_count)
