@@ -1,17 +1,22 @@
 """Every cause of ``benchmarks.trust.confusion_mistakes`` makes a log and a model that can be
-read."""
+read, is named, and makes no trusted answer wrong."""
 
 from __future__ import annotations
 
 import pytest
 
-from benchmarks.trust.confusion import Judge
+from benchmarks.trust.confusion import Judge, check_scene
 from benchmarks.trust.confusion_causes import draw_scene
 from benchmarks.trust.confusion_mistakes import MISTAKES
 from rigs.arms.drawn_models import model_path
 from rigs.arms.wrong_arms import ARMS
 from rigs.files.places import MODELS
 from robot_sysid.parser import load_robot_model
+
+UNNAMED: dict[str, str] = {}
+"""Mistakes that are not named on this arm, to why that is so."""
+DURATION = 20.0
+"""Of a log that has to be named [s]."""
 
 pytestmark = [
     pytest.mark.slow,
@@ -30,6 +35,18 @@ def test_a_cause_makes_a_log_and_a_model(cause, tmp_path):
     robot = load_robot_model(judge.model)
     assert robot.joint_names == judge.joint_names
     assert len(judge.innocents) in (0, robot.n_joints - 1)
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_named_and_makes_no_trusted_answer_wrong(name):
+    """Nor does following what is printed, nor accepting its doubts."""
+    cause = MISTAKES[name]
+    duration = cause.duration or DURATION
+    scene = draw_scene(MODELS / ARMS["ur5e"], "ur5e", "real", duration, 1)
+    outcome = check_scene(cause.spoil(scene), is_answered=True)
+    assert "harmful" not in [*outcome.classify_costs()], outcome
+    expected = "rightly" if cause.faults and name not in UNNAMED else "silent"
+    assert outcome.classify_naming(cause) == expected, outcome
 
 
 @pytest.mark.parametrize("seed", range(8))
