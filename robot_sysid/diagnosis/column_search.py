@@ -10,7 +10,7 @@ Throughout, K is the number of rows, n that of joints, J that of joints with equ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from typing import Any
@@ -32,6 +32,7 @@ from robot_sysid.diagnosis.columns import (
 )
 from robot_sysid.diagnosis.fault_columns import INERTIAL, fault_columns
 from robot_sysid.diagnosis.plausibility import fits, model_torque
+from robot_sysid.diagnosis.reading_scores import ReadingScores, likelihood
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -39,16 +40,14 @@ from robot_sysid.dynamics.inverse_dynamics import (
     with_gravity,
 )
 from robot_sysid.estimate.choose import solve_question
-from robot_sysid.estimate.fit import Equations, Fit, equations_of, solve
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.rows import Rows, Sums
-from robot_sysid.estimate.terms import MOTORS, ArmTerms, Point, Term
+from robot_sysid.estimate.terms import MOTORS
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.records.messages import Level, with_error
-from robot_sysid.records.parameters import Parameter
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name, with_option_names
@@ -60,17 +59,10 @@ LEAST_RESIDUAL = 0.01
 FINE_RESIDUAL = 0.001
 """The same where mistakes are taken one by one: a wrist without weight makes a few thousandths of
 all torque, and its sign shows in as much of it."""
-KEPT = 40
-"""Readings of positions of which the sums are kept: 0.7 MB each, of an arm of seven joints."""
 ZERO_ROUNDS = 5
 """Rounds in which the step around the best angle of a zero is halved, to a degree."""
 MOST_SIGNS = 7
 """Joints of which all signs of torques are tried together, 128 ways."""
-FIRST_NOISE = 0.05
-"""Noise that a search begins with, as a share of each joint's torque."""
-NOISE_ROUNDS = 2
-"""Rounds in which the noise is taken from the residuals: noise that is found to the end follows a
-joint that other joints' errors were left to."""
 FOLLOWED = 3
 """Likeliest first mistakes that are followed, as one that is wrong may fit as well alone."""
 LIKELY = 40
@@ -104,6 +96,11 @@ KEPT_WEIGHT = 0.7
 """Share of the model's weight, as a median of the joints, below which a balancer carries a part of
 it, which is as much inertia too much: a wrong time leaves weight as it is, and so many links are
 not 30 % lighter than in the model."""
+TIME_ROUNDS = 3
+"""Most rounds in which a factor of time is found."""
+SAME_INERTIA = 0.05
+"""Logarithm of the share by which inertia is off from which on the factor of time is found: its
+square root, and a few percent of the ratios of usual rates."""
 LEAST_INERTIA = 0.1
 """Least share of inertia that a factor of time makes up for at once; torque of weight alone has
 none at all."""
@@ -150,37 +147,6 @@ def part_of_rows(fitted: Fit, count: int) -> tuple[tuple[FilteredRecording, ...]
     return tuple(recordings), every
 
 
-def recorded_torque(arm: ArmTerms) -> Term:
-    """Return a term whose columns, in every joint's rows, are all joints' recorded torques."""
-    names = [f"recorded torque of {name}" for name in arm.robot.joint_names]
-
-    def columns(rows: Rows, _: Point) -> Array:
-        """Return the torques (m, J, n) [N m]; zero where there is none."""
-        torque = np.nan_to_num(rows.recording.torque[rows.span])
-        return np.repeat(torque[:, None], len(arm.joints), axis=1)
-
-    return Term("", tuple(map(Parameter, names)), columns)
-
-
-def with_torques_of(sums: Sums, arm: ArmTerms, torque: Array) -> Sums:
-    """Return sums with columns of recorded torques as those of other torques (n, n) of them."""
-    change = torque - np.eye(len(torque))
-    if not np.any(change):
-        return sums
-    at = sums.at(recorded_torque(arm).names)
-    products = []
-    for joint, columns, own in zip(arm.indices, sums.columns, sums.products):
-        mix = np.zeros(len(sums.names) + 1)
-        mix[at] = change[joint]
-        mix[-1] = 1.0
-        mix = mix[columns]
-        turned = own.copy()
-        turned[..., -1] = turned[..., -1, :] = own @ mix
-        turned[..., -1, -1] = turned[..., -1, :] @ mix
-        products.append(turned)
-    return replace(sums, products=tuple(products))
-
-
 class ColumnSearch:
     """Compares readings of a log on a part of its rows, for all searches in it.
 
@@ -200,53 +166,23 @@ class ColumnSearch:
         for key, term in fitted.arm.terms.items():
             if term.bodies or term.cause == MOTORS or key in question.friction:
                 needed.append(term)
-        self.arm = fitted.arm.of([*needed, recorded_torque(fitted.arm)])
-        self.terms = arm_question(
-            fitted.arm.of(needed), question, fitted.sums.rms_torque
-        )
-        self.recordings, _ = part_of_rows(fitted, ROWS)
-        self._kept: dict[tuple[bytes, ...], Sums] = {}
-
-    def sums(self, reading: Reading) -> Sums:
-        """Return the sums of the log that is read otherwise.
-
-        Those of positions are kept, as torques that are read otherwise turn their last column only.
-        """
-        arm = self.arm
-        gravity = arm.start().gravity if reading.gravity is None else reading.gravity
-        numbers = (reading.position, reading.zeros, gravity, np.array(reading.time))
-        key = tuple(each.tobytes() for each in numbers)
-        if key not in self._kept:
-            if len(self._kept) >= KEPT:
-                self._kept.clear()
-            as_recorded = replace(reading, torque=np.eye(len(reading.torque)))
-            logs = [as_recorded.apply(each) for each in self.recordings]
-            point = replace(arm.start(), gravity=gravity)
-            # Likelihoods need no blocks.
-            self._kept[key] = arm.sums(logs, point, False)
-        return with_torques_of(self._kept[key], arm, reading.torque)
+        self.arm = fitted.arm.of(needed)
+        terms = arm_question(self.arm, question, fitted.sums.rms_torque)
+        recordings, _ = part_of_rows(fitted, ROWS)
+        self.scores = ReadingScores(self.arm, recordings, terms)
 
     def score(self, found: Sequence[Mistake], share: float = LEAST_RESIDUAL) -> float:
         """Return the log likelihood of the log without mistakes, but for a constant.
 
         Residuals below a ``share`` of all torque do not count.
         """
-        sums = self.sums(Reading.of(self.arm.robot.n_joints, found))
-        torque = sums.rms_torque
-        equations = equations_of(self.arm, sums, self.terms, {})
-        least = share * np.sqrt(np.mean(torque**2))
-        counts = sums.row_counts
-        noise = np.maximum(FIRST_NOISE * torque, least)
-        for _ in range(NOISE_ROUNDS):
-            normal = equations.normal(1.0 / noise)
-            values, _ = solve(normal, equations.reference)
-            crosses = equations.crossing(values)
-            if np.any(crosses):
-                start = np.where(crosses, equations.inside(values), equations.reference)
-                values, _ = solve(normal, start, ~crosses)
-            squares = equations.squared_residuals(values)
-            noise = np.maximum(np.sqrt(squares / counts), least)
-        return likelihood(equations, values, counts, noise)
+        reading = Reading.of(self.arm.robot.n_joints, found)
+        return self.scores.score(reading, share)
+
+    def gain_of(self, tried: Iterable[Mistake]) -> float:
+        """Return by how much the log reads better without the likeliest of some mistakes [nats]."""
+        scores = [self.score([each]) for each in tried]
+        return max(scores, default=-np.inf) - self.score([])
 
     def one_by_one(self, tried: Sequence[Mistake], evidence: Evidence) -> list[Mistake]:
         """Return mistakes that each gain alone, of joints that make little torque as well."""
@@ -333,7 +269,9 @@ class ColumnSearch:
         zeros = [each for each in tried if each.name is FaultName.ZERO]
         for both in combinations(zeros, 2):
             reading = Reading.of(self.arm.robot.n_joints, both)
-            yield Mistake(FaultName.ZERO, "", reading)
+            # Two of one joint are a third one, or none.
+            if np.count_nonzero(reading.zeros) == 2:
+                yield Mistake(FaultName.ZERO, "", reading)
 
     def _longer(
         self,
@@ -347,22 +285,6 @@ class ColumnSearch:
         # Equally likely ones keep their order.
         order = np.argsort((np.max(scores) - scores) // ALIKE, kind="stable")
         return [(scores[k], ways[k]) for k in order.tolist()]
-
-
-def likelihood(
-    equations: Equations, values: Array, independent: Array, noise: Array
-) -> float:
-    """Return the log likelihood of values and of their priors, but for a constant.
-
-    Args:
-        equations: of the values.
-        values: (k,) that solve them.
-        independent: (J,) number of independent rows.
-        noise: (J,) of the residuals [N m].
-    """
-    change = np.append(values, -1.0)
-    pull = change @ equations.prior @ change
-    return -float(independent @ np.log(noise) + 0.5 * pull)
 
 
 def gain_between(before: Fit, after: Fit, factors: Array | float = 1.0) -> float:
@@ -483,11 +405,19 @@ def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:
     From one factor on, time is multiplied by what the torque of inertia says, which grows with its
     square; the ratio of two usual rates is taken in place of a number that is next to it.
     """
-    for _ in range(3):
-        after = refit(fitted, reading)
+    after = refit(fitted, reading)
+    _, shares, is_loaded = model_torque(after)
+    weight = np.median(shares[is_loaded]) if np.any(is_loaded) else 1.0
+    # Whatever the time, weight is what it is: where it is missing, inertia looks too large.
+    if not KEPT_WEIGHT < weight < 1.0 / KEPT_WEIGHT:
+        return after, []
+    for _ in range(TIME_ROUNDS):
         offer = Offers(after).weigh(Effect((INERTIAL,), np.array([[INERTIA_OFF]])))
         inertia = max(1.0 + float(offer.values[0]), LEAST_INERTIA)
         reading = replace(reading, time=reading.time / np.sqrt(inertia))
+        if abs(np.log(inertia)) < SAME_INERTIA:
+            break
+        after = refit(fitted, reading)
     distances = np.abs(np.log(reading.time / RATIOS))
     if np.min(distances) < NEAR_RATIO:
         reading = replace(reading, time=float(RATIOS[np.argmin(distances)]))
@@ -500,13 +430,9 @@ def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:
         "record the controller's own time stamps, or scale these with a line in "
         f"{option_name('columns', 'FILE')}: time = {factor:.4g} * TITLE",
     )
-    after = refit(fitted, reading)
-    _, shares, is_loaded = model_torque(after)
-    weight = np.median(shares[is_loaded]) if np.any(is_loaded) else 1.0
-    # Beyond these, torque lacks inertia or weight.
+    # Beyond these, torque lacks inertia.
     exists = RATIOS[0] <= factor <= RATIOS[-1]
-    is_whole = KEPT_WEIGHT < weight < 1.0 / KEPT_WEIGHT
-    return after, [finding] if exists and is_whole else []
+    return refit(fitted, reading), [finding] if exists else []
 
 
 def mounting_correction(

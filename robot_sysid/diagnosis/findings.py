@@ -17,7 +17,7 @@ from robot_sysid.diagnosis.column_search import (
     sign_correction,
     zero_correction,
 )
-from robot_sysid.diagnosis.columns import OF_COLUMNS
+from robot_sysid.diagnosis.columns import OF_COLUMNS, time_bases
 from robot_sysid.diagnosis.misfits import (
     delay_findings,
     external_findings,
@@ -98,12 +98,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     columns = ColumnSearch(fitted)
     if not (is_experiment or is_of_model):
         search = search_or_single(search, columns, evidence, scales)
-    # Links that may be off hide much of a direction that was stated the wrong way round.
-    is_fitting = (
-        fits(fitted)
-        and not any(map(is_like_gravity, search.winners))
-        and fitted.arm.robot.gravity is None
-    )
+    is_fitting = is_read_right(search)
     if not (is_experiment or is_fitting or is_of_model):
         search = search_or_corrected(search, columns, evidence, scales)
     right = search.start.fit
@@ -137,6 +132,18 @@ def is_like_gravity(score: Score) -> bool:
     is_of_arm = score.explanation.effect.joint is None
     is_harmful = score.level is not Level.SAYS
     return is_of_arm and is_harmful and score.name in LIKE_GRAVITY
+
+
+def is_read_right(search: Search) -> bool:
+    """Return whether a log fits so well, as it is or with one mistake put right, that it has no
+    other mistake in its columns, nor another direction of gravity.
+    """
+    fitted = search.start.fit
+    # Links that may be off hide much of a direction that was stated the wrong way round.
+    is_as_in_file = fitted.arm.robot.gravity is None
+    return (
+        fits(fitted) and is_as_in_file and not any(map(is_like_gravity, search.winners))
+    )
 
 
 def search_or_single(
@@ -187,8 +194,10 @@ def search_or_corrected(
     """
     tried = [*scales.each()]
     named = {finding.about for finding in search.start.findings}
-    # A log that one joint's factor explains needs no search for columns.
-    if not (search.explains and named == {FaultName.TORQUE_SCALE}):
+    # A log that one joint's factor explains needs no search for columns, unless another time reads
+    # better as well: it makes other inertias, of which a joint without weight has nothing else.
+    is_factor = search.explains and named == {FaultName.TORQUE_SCALE}
+    if not is_factor or columns.gain_of(time_bases(columns.arm.robot)) > CLEAR:
         tried += column_correction(columns, evidence)
     likely = [each for each in tried if is_likely(each, scales.fitted)]
     best = sorted(likely, key=lambda each: -each.gain)

@@ -181,6 +181,36 @@ def solve(
     return values, inverse
 
 
+def solution(
+    matrix: Array,
+    right_side: Array,
+    reference: Array,
+    is_free: NDArray[np.bool_] | None = None,
+) -> Array:
+    """Return the solution (k,) of ``solve`` alone, in a fifth of its time.
+
+    ``matrix`` (k, k) and ``right_side`` (k,) are the products A'A and A'b.
+    """
+    from scipy.linalg.lapack import dpotrf, dpotrs
+
+    at = np.arange(len(reference)) if is_free is None else np.flatnonzero(is_free)
+    own = matrix[at[:, None], at]
+    length = np.sqrt(np.maximum(np.diag(own), 0.0))
+    scale = 1.0 / np.where(length > 0.0, length, 1.0)
+    scaled = scale[:, None] * own * scale
+    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    root, is_indefinite = dpotrf(scaled, lower=True)
+    if is_indefinite:
+        normal = np.block([[matrix, right_side[:, None]], [right_side, 0.0]])
+        return solve(normal, reference, is_free)[0]
+    values = reference.copy()
+    # The second step is one of refinement.
+    for _ in range(2):
+        gradient = right_side[at] - matrix[at] @ values
+        values[at] += scale * dpotrs(root, scale * gradient, lower=True)[0]
+    return values
+
+
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a normal matrix (k, k), regular but for rounding."""
     # A triangle takes a third of the time of a square matrix; SciPy takes some to import.

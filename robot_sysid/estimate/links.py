@@ -222,9 +222,12 @@ class LinkEvidence:
         """Return log p(S) up to a constant."""
         scale = deviations(self.stated, self.share, scales, self.common)
         matrix = np.eye(len(scale)) + scale[:, None] * self.curvature * scale
-        factor = np.linalg.cholesky(matrix)
-        half = np.linalg.solve(factor, scale * self.gradient)
-        return 0.5 * half @ half - np.sum(np.log(np.diag(factor)))
+        # SciPy takes some time to import.
+        from scipy.linalg.lapack import dpotrf, dtrtrs
+
+        root, _ = dpotrf(matrix, lower=True)
+        half = dtrtrs(root, scale * self.gradient, lower=True)[0]
+        return float(0.5 * half @ half - np.sum(np.log(np.diag(root))))
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:

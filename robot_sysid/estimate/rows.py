@@ -343,8 +343,12 @@ class JointSums:
 
     def clear_rounding(self) -> None:
         """Set the products of columns that are nothing but rounding to zero."""
-        squares = np.diag(self.products[0].sum(axis=0))[:-1]
-        is_noise = squares <= RELATIVE_CUT**2 * np.max(squares, initial=0.0)
-        at = np.flatnonzero(is_noise)
+        at = of_rounding(np.diag(self.products[0].sum(axis=0)))
         self.products[:, :, at] = 0.0
         self.products[..., at] = 0.0
+
+
+def of_rounding(squares: Array) -> NDArray[np.int64]:
+    """Return which columns are nothing but rounding, from their sums of squares and a torque's."""
+    own = squares[:-1]
+    return np.flatnonzero(own <= RELATIVE_CUT**2 * np.max(own, initial=0.0))
