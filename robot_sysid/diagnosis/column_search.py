@@ -213,7 +213,8 @@ class ColumnSearch:
             """Return the log likelihood of the log without a zero."""
             return self.score([zero], FINE_RESIDUAL)
 
-        tried = [*zeros(self.arm.robot, self.moving, ANY_ANGLES)]
+        shown = [joint for joint in self.moving if self._shows_zero(joint)]
+        tried = [*zeros(self.arm.robot, shown, ANY_ANGLES)]
         if not tried:
             return []
         most, best = max(((score(each), each) for each in tried), key=lambda w: w[0])
@@ -266,12 +267,25 @@ class ColumnSearch:
 
     def _pairs(self, tried: Sequence[Mistake]) -> Iterator[Mistake]:
         """Yield pairs of zeros: beside another wrong one, one alone may fit worse than none."""
-        zeros = [each for each in tried if each.name is FaultName.ZERO]
-        for both in combinations(zeros, 2):
+        shown = [joint for joint in self.moving if self._shows_zero(joint)]
+        turned = [each for each in tried if np.any(each.reading.zeros[shown])]
+        for both in combinations(turned, 2):
             reading = Reading.of(self.arm.robot.n_joints, both)
             # Two of one joint are a third one, or none.
             if np.count_nonzero(reading.zeros) == 2:
                 yield Mistake(FaultName.ZERO, "", reading)
+
+    def _shows_zero(self, joint: int) -> bool:
+        """Return whether the log would show a zero of a joint.
+
+        That about an upright axis is another heading of the base, and that of the last joint turns
+        the last link, which is free. A slide has none that is turned.
+        """
+        if self.arm.robot.is_slide[joint]:
+            return False
+        turned = zero_of(self.arm.robot.n_joints, joint, RIGHT_ANGLE)
+        change = self.score([turned], FINE_RESIDUAL) - self.score([], FINE_RESIDUAL)
+        return abs(change) > ALIKE
 
     def _longer(
         self,

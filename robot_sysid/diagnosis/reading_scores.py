@@ -111,14 +111,15 @@ class ReadingScores:
                 for joint, total in enumerate(every):
                     own = rows[is_used[:, joint], joint]
                     at = np.flatnonzero(np.any(own, axis=0))
-                    total[np.ix_(at, at)] += own[:, at].T @ own[:, at]
+                    own = own[:, at]
+                    total[at[:, None], at] += own.T @ own
         for total in every:
             at = of_rounding(np.diag(total))
             total[at] = total[:, at] = 0.0
         moved = every @ self._sides
         own = self._equations.index
         return Products(
-            every[:, own[:, None], own],
+            every.take(own, 1).take(own, 2),
             moved[:, own],
             self._sides.T @ moved,
             np.maximum(counts, 1.0),
