@@ -195,6 +195,8 @@ def usable_rows(
         listed = ", ".join(compress(titles, is_empty))
         empty = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
     rows, notes = ordered_rows(table, columns, cells, np.flatnonzero(is_usable))
+    rows, repeat_notes = without_repeats(table, columns, cells, rows)
+    notes += repeat_notes
     time, even_notes = even_stamps(columns, cells, rows)
     cells[rows, 1] = time
     notes += even_notes
@@ -322,6 +324,44 @@ def is_one_recording(time: Array, q: Array, order: Rows) -> bool:
         for each, is_changed in ((q[order], is_new), (q, is_lost))
     )
     return bool(is_apart and new <= MOST_MOVED_WAY * lost)
+
+
+def without_repeats(
+    table: LogTable, columns: ColumnMap, cells: Array, rows: Rows
+) -> tuple[Rows, list[str]]:
+    """Return rows (K,) without those that repeat the sample before between two samples, and a note.
+
+    They were written again, or the log was polled faster than the controller has samples. What
+    repeats in place of a sample, as of an arm at rest, stays.
+
+    Args:
+        table: the log.
+        columns: the column of each quantity.
+        cells: of all rows, as ``read_cells`` returns them.
+        rows: numbers of the rows that can be used, in the order of time.
+    """
+    time = cells[rows, 1]
+    is_same = np.full(max(len(rows) - 1, 0), True)
+    # Positions and torques; one column at a time, to bound memory.
+    for column in cells.T[2 : 2 + 2 * len(columns.position)]:
+        is_same &= np.diff(column[rows]) == 0.0
+    # Of stamps that are shared, or run backwards, the even ones are not known.
+    if not np.any(is_same) or np.any(np.diff(time) <= 0.0):
+        return rows, []
+    samples = np.flatnonzero(~np.append(False, is_same))
+    step = np.diff(time[samples])
+    is_usual = step < GAP_STEPS * np.median(step)
+    # Behind the last sample nothing says when the next one came.
+    number = np.searchsorted(samples, np.arange(len(rows)), side="right") - 1
+    is_between = np.append(False, is_same) & np.append(is_usual, False)[number]
+    if not np.any(is_between):
+        return rows, []
+    first = cells[rows[is_between][:1], 0].astype(np.int64)
+    note = (
+        "left out rows that repeat the one before them, between two samples: "
+        f"{np.count_nonzero(is_between)} (first: {table.cite(first)})"
+    )
+    return rows[~is_between], [note]
 
 
 def even_stamps(

@@ -15,6 +15,9 @@ from robot_sysid.signals.resampling import between_gaps, is_even
 
 WINDOW = 100
 """Rows in which the stamps' typical lateness is compared: a row that is lost shifts it for good."""
+STAMPS = 20
+"""Stamps that a window has at least, where several rows share one, as rows that arrive together: a
+window that cuts one of few bursts is late by a part of it."""
 MOST_SHIFT = 0.5
 """Sampling periods by which it may differ between windows: a lost row shifts it by one."""
 CLEARLY_SMOOTHER = 2.0
@@ -50,7 +53,8 @@ def even_time(time: Array, q: Array) -> Array | None:
 
 def fitted_instants(time: Array) -> Array | None:
     """Return the even instants (N,) that fit stamps (N,) best; None where a row is missing."""
-    count = len(time) // WINDOW
+    shared = len(time) / (1 + np.count_nonzero(np.diff(time)))
+    count = int(len(time) / max(WINDOW, STAMPS * shared))
     if count < 2:
         return None
     rows = np.arange(len(time))

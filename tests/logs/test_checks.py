@@ -165,8 +165,9 @@ def test_rows_in_any_order_or_twice_are_the_recording(tmp_path, name):
         lambda time: time - 4.99e-3 * (np.arange(len(time)) % 9 == 8),
         # Rows of a sixteenth of a second arrive together.
         lambda time: np.ceil(time * 16) / 16,
+        lambda time: np.ceil(time * 7) / 7,
     ],
-    ids=["floor", "round", "late", "early", "bursts"],
+    ids=["floor", "round", "late", "early", "bursts", "long bursts"],
 )
 def test_even_rows_with_other_stamps_are_at_even_instants(tmp_path, stamped):
     rows = table(motion(2000))
@@ -175,6 +176,33 @@ def test_even_rows_with_other_stamps_are_at_even_instants(tmp_path, stamped):
     assert "positions show that rows are evenly spaced" in notes_of(log)
     assert len(log) == 2000
     np.testing.assert_allclose(np.diff(log.time), 5e-3, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [lambda n: np.arange(0, n - 1, 7), lambda n: np.arange(n - 1)],
+    ids=["some", "polled twice as fast"],
+)
+def test_rows_that_repeat_between_two_samples_are_left_out(tmp_path, copied):
+    data = motion()
+    copies = table(data)[copied(len(data))]
+    copies[:, 0] += 2e-3
+    rows = np.concatenate((table(data), copies))
+    log = read_table(tmp_path, rows[np.argsort(rows[:, 0])])
+    np.testing.assert_array_equal(table(log), table(data))
+    assert f"between two samples: {len(copies)} (first: line 3)" in notes_of(log)
+
+
+@pytest.mark.parametrize(
+    "repeated", [np.r_[40:80], np.r_[40, 41, 60, 90:95, 120]], ids=["at rest", "stale"]
+)
+def test_rows_that_repeat_in_place_of_samples_stay(tmp_path, repeated):
+    rows = table(motion())
+    for row in repeated:
+        rows[row, 1:] = rows[row - 1, 1:]
+    log = read_table(tmp_path, rows)
+    np.testing.assert_array_equal(log.time, motion().time)
+    assert "between two samples" not in notes_of(log)
 
 
 @pytest.mark.parametrize("first", [900, 1000, 1130])
