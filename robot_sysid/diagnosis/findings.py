@@ -68,6 +68,9 @@ OF_LINKS = (
 """Faults that an experiment on single joints says nothing of."""
 CLEARLY_LESS = 0.7
 """What a correction leaves unexplained, over what is without it, below which it leaves less."""
+MOST = 0.5
+"""The same of one joint's factor beside nothing else: of factors from 0.5 to 2 it is at most 0.1,
+of a ripple in the joint's torque 0.7."""
 MOST_NAMED = 3
 """Faults that are named: of more that act together, the others are small."""
 
@@ -158,7 +161,9 @@ def search_or_single(
     is_fitting = fits(fitted)
     tried = [*sign_correction(columns, evidence)]
     if not any(fits(each.fit) for each in tried):
-        tried += [] if scales.alone is None else [scales.alone]
+        alone = scales.alone
+        if alone is not None and (is_fitting or explains_most(alone, fitted)):
+            tried.append(alone)
         if search.winners or not is_fitting or scales.scales.is_odd:
             turned = zero_correction(columns, evidence)
             tried += [each for each in turned if fits(each.fit)]
@@ -182,6 +187,13 @@ def search_or_single(
             searches = search, corrected
             search = max(searches, key=lambda each: (each.explains, each.gain))
     return search
+
+
+def explains_most(alone: Correction, fitted: Fit) -> bool:
+    """Return whether a factor of one joint leaves less than half of what a log that does not fit
+    leaves: links and the factor take up a part of whatever is wrong at the joint.
+    """
+    return alone.fit.unexplained_share < MOST * fitted.unexplained_share
 
 
 def search_or_corrected(

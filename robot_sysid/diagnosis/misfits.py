@@ -30,6 +30,7 @@ from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.choose import answer_of, odd_link, solve_question
+from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.questions import PER_CENT
@@ -145,7 +146,8 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
         return
     # A fault that was found may explain them.
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
-    if is_odd and scales.common.fit.unexplained_share < UNEXPLAINED:
+    # Scales follow whatever else is left over.
+    if is_odd and scales.common.fit.unexplained_share < LITTLE:
         yield from scales.common.findings
     elif not is_plausible(current):
         yield Finding(

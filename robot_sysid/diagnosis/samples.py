@@ -16,6 +16,7 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.stretches import MANY_VALUES, failed_sensors, leave_out
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, count_text, percent, torque_unit
@@ -76,6 +77,24 @@ NEAR_ZERO = 0.02
 """Torque that is next to none, as a share of the joint's largest."""
 MOST_TOUCHES = 5
 """Times that a joint's torque comes down to none and is on the same side afterwards, by chance."""
+WITH_MOTION = 0.98
+"""Share of samples in which a torque has the sign of the motion that weight does not let it have:
+right logs have it in 0.85 of them at one of the joints at most, by friction."""
+LEAST_SPEED = 0.1
+"""Speed of a joint from which on its direction is sure, as a share of its largest."""
+DIRECTION_TIME = 0.02
+"""Time before and after a sample in which a joint's direction is taken [s]."""
+LEAST_WAYS = 0.1
+"""Least share of samples in either direction: a weight that is only lifted pulls against it."""
+COMPARED_SAMPLES = 2000
+"""Samples whose sign is compared with that of the motion."""
+SHOWN_WEIGHT = 0.5
+"""What adds to a torque in one direction and takes away from it in the other, as a share of the
+model's weight, and of the torque, from which on it is weight: without a sign there is a fifth at
+most, by friction."""
+LEAST_WEIGHT = 0.25
+"""Torque of the model's weight, as a share of that of the joint that carries most, above which a
+joint carries weight."""
 LEAST_TRAVEL = 0.01
 """Travel below which a joint does not move [rad or m]."""
 AT_END_OVER_NEAR = 4.0
@@ -276,6 +295,73 @@ def unsigned_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
         )
 
 
+def motion_sign_findings(
+    robot: RobotModel, pieces: Sequence[Recording]
+) -> Iterator[Finding]:
+    """Yield the finding that torques have the sign of the motion, whatever the weight.
+
+    Friction has it, and weight has not: it pulls one way while a joint moves up and down. So does
+    the torque of a joint that carries weight, unless friction is larger everywhere. Then it is
+    larger by the weight in one direction and smaller by it in the other; a torque without a sign is
+    as large in both.
+    """
+    if any(piece.command is not None for piece in pieces):
+        return
+    parts = [_directions(piece) for piece in pieces]
+    every = max(1, sum(len(q) for q, *_ in parts) // COMPARED_SAMPLES)
+    q, way, tau = (np.concatenate(of)[::every] for of in zip(*parts))
+    still = np.zeros_like(q)
+    weight = ArmDynamics(robot).torque(q, still, still)
+    size = np.sqrt(np.mean(weight**2, axis=0))
+    is_compared = ~robot.is_slide | np.all(robot.is_slide)
+    size = np.where(is_compared & np.any(tau, axis=0), size, 0.0)
+    carrying = np.flatnonzero(size > LEAST_WEIGHT * np.max(size))
+    if not len(carrying) or not all(
+        _has_sign_of_motion(way[:, joint], tau[:, joint], weight[:, joint])
+        for joint in carrying.tolist()
+    ):
+        return
+    names = ", ".join(robot.joint_names[joint] for joint in carrying.tolist())
+    yield Finding(
+        Level.REFUSES,
+        FaultName.UNSIGNED,
+        f"the torque of {names} has the sign of the motion, up and down alike, which weight has "
+        "not: it is without a sign of its own, as the size of a motor's current that was given the "
+        "motion's",
+        "record the torque, or the current, with its own sign",
+    )
+
+
+def _directions(piece: Recording) -> tuple[Array, Array, Array]:
+    """Return (positions, ways in a short time around each, torques) (M, n) of samples in use."""
+    reach = max(1, round(DIRECTION_TIME / sampling_period(piece.time)))
+    way = piece.q[2 * reach :] - piece.q[: -2 * reach]
+    middle = slice(reach, len(piece) - reach)
+    is_used = ~piece.is_left_out[middle]
+    return piece.q[middle][is_used], way[is_used], piece.tau[middle][is_used]
+
+
+def _has_sign_of_motion(way: Array, tau: Array, weight: Array) -> bool:
+    """Return whether the torque (M,) of a joint has the sign of its ways, and no weight's."""
+    size = np.abs(tau)
+    is_clear = (np.abs(way) > LEAST_SPEED * np.max(np.abs(way), initial=0.0)) & (
+        size > NEAR_ZERO * np.max(size, initial=0.0)
+    )
+    direction = np.sign(way[is_clear])
+    if len(direction) < ENOUGH_STEPS:
+        return False
+    is_both = abs(float(np.mean(direction))) < 1.0 - 2.0 * LEAST_WAYS
+    along = tau[is_clear] * direction
+    if not is_both or np.mean(along > 0.0) < WITH_MOTION:
+        return False
+    own = weight[is_clear]
+    # What weight adds in one direction and takes away in the other, beside what is alike in both.
+    columns = np.stack((np.abs(own), own * direction, np.ones_like(own)), axis=1)
+    _, signed, _ = np.linalg.lstsq(columns, along, rcond=None)[0]
+    usual = float(np.mean(along)) / max(float(np.mean(np.abs(own))), 1e-300)
+    return abs(float(signed)) < SHOWN_WEIGHT * min(usual, 1.0)
+
+
 def check_recording(
     robot: RobotModel, pieces: Sequence[Recording]
 ) -> tuple[list[Finding], list[Recording]]:
@@ -288,6 +374,7 @@ def check_recording(
     kept, found = leave_out(robot.joint_names, pieces, [*failed_sensors(pieces)])
     found += [
         *unsigned_findings(kept),
+        *motion_sign_findings(robot, kept),
         *clock_findings(kept),
         *saturation_findings(robot, kept),
     ]

@@ -20,6 +20,7 @@ from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import TRYING, require_acceptable
 from robot_sysid.diagnosis.samples import (
     clock_findings,
+    motion_sign_findings,
     saturation_findings,
     time_share,
     unsigned_findings,
@@ -165,6 +166,23 @@ def test_torque_without_a_sign_is_refused(sign):
 @pytest.mark.parametrize("joints", [[0, 1, 2], [1], [0, 2], []])
 def test_torque_that_weight_holds_on_one_side_has_a_sign(joints):
     assert list(unsigned_findings([with_two_signs(joints)])) == []
+
+
+@pytest.mark.parametrize("friction", [0.1, 1.0, 3.0, 10.0])
+def test_torque_with_the_sign_of_the_motion_is_refused_unless_friction_gives_it(
+    four_joints, friction
+):
+    robot, plan = four_joints.robot, four_joints.plan
+    motion = next(motion_chunks(plan, 200.0))
+    weight = ArmDynamics(robot).torque(motion.q, *np.zeros((2, *motion.q.shape)))
+    size = friction * np.sqrt(np.mean(weight**2, axis=0))
+    tau = weight + size * np.sign(motion.qd)
+    log = Recording(motion.time, motion.q, None, tau)
+    assert not [*motion_sign_findings(robot, [log])]
+    turned = replace(log, tau=np.abs(tau) * np.sign(motion.qd))
+    found = [*motion_sign_findings(robot, [turned])]
+    # Where friction is larger than the weight, the sign that is given is the right one.
+    assert len(found) == (friction < 1.0)
 
 
 # ---- against the model
