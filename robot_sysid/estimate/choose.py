@@ -24,6 +24,7 @@ from robot_sysid.estimate.links import (
     AS_STATED,
     LinkEvidence,
     average_scales,
+    common_error,
     link_directions,
     odd_number,
     reference_links,
@@ -317,12 +318,14 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     robot = fitted.arm.robot
     others = fitted.arm.others
     directions = link_directions(robot, others)
+    share = PER_CENT * fitted.question.options.priors.link
     off = gradient - curvature @ reference_links(robot, others)
     return LinkEvidence(
         stated_kinds(robot, others),
-        PER_CENT * fitted.question.options.priors.link,
+        share,
         directions.T @ curvature @ directions,
         directions.T @ off,
+        common_error(robot, share),
     )
 
 

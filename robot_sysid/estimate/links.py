@@ -116,8 +116,15 @@ def link_factor(
     directions = link_directions(robot, links)
     if share == 0.0:
         return np.zeros((len(directions), len(directions)))
-    scaled = directions * deviations(stated_kinds(robot, links, odd), share, scales)
+    common = common_error(robot, share)
+    stated = stated_kinds(robot, links, odd)
+    scaled = directions * deviations(stated, share, scales, common)
     return np.asarray(np.linalg.cholesky(scaled @ scaled.T))
+
+
+def common_error(robot: RobotModel, share: float) -> float:
+    """Return the error that all masses share: the one of links, and that of the user's factor."""
+    return float(np.hypot(share, robot.mass_error))
 
 
 def reference_links(robot: RobotModel, links: Sequence[int]) -> Array:
@@ -144,7 +151,7 @@ def deviations(
 ) -> Array:
     """Return the standard deviation (10 L + 2,) along each column of ``link_directions``.
 
-    The error that all masses share stays as the user states it, or is ``common``.
+    The error that all masses share is the links', or ``common``.
     """
     sizes = np.where(stated, share * np.array(astuple(scales)), 1.0)
     return np.append(
@@ -209,7 +216,7 @@ class LinkEvidence:
         share: relative standard deviation that the user states.
         curvature: (10 L + 2, 10 L + 2) M, second derivative along ``link_directions``.
         gradient: (10 L + 2,) v, first derivative along them.
-        common: error that all masses share, where it is not the one that the user states.
+        common: error that all masses share, where it is not the links'.
     """
 
     stated: NDArray[np.bool_]

@@ -146,8 +146,11 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
             if cause in arm.terms:
                 sizes[cause] = _sizes(arm.terms[cause], question, sizes[cause], wrong)
     for cause, size in sizes.items():
-        if cause in arm.terms and np.any(size > 0.0):
+        common = PER_CENT * priors.common_scale * (cause == SCALES)
+        if cause in arm.terms and np.any(size + common > 0.0):
             prior = independent(np.full(len(arm.terms[cause].names), size))
+            if common:
+                prior = with_common(prior, common)
             if cause == SCALES and question.loaded and question.known_mass is None:
                 prior = without_common(prior)
             terms.append(replace(arm.terms[cause], prior=prior))
@@ -220,6 +223,14 @@ def _last_link(arm: ArmTerms, question: Question) -> Term:
     last = [arm.robot.n_joints - 1]
     factor = link_factor(arm.robot, last, share, LinkScales(*scales.tolist()))
     return replace(term, prior=Prior(term.reference, factor))
+
+
+def with_common(prior: Prior, common: float) -> Prior:
+    """Return the prior of torque scales with an error that all of them share."""
+    covariance = prior.factor @ prior.factor.T + common**2
+    # A prior needs an inverse, also of scales that are known beside it.
+    covariance += (NEGLIGIBLE * common) ** 2 * np.eye(len(covariance))
+    return Prior(prior.mean, np.asarray(np.linalg.cholesky(covariance)))
 
 
 def without_common(prior: Prior) -> Prior:
