@@ -29,9 +29,9 @@ from robot_sysid import spatial
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
 from robot_sysid.estimate.questions import (
-    PER_CENT,
     Question,
     arm_question,
+    common_spread,
     scale_spread,
 )
 from robot_sysid.estimate.rows import Sums, indices_of, row_chunks
@@ -421,7 +421,7 @@ class Fit(Problem):
         """
         question = self.question
         deviations = scale_spread(self.arm, question.options, question.loaded)
-        common = PER_CENT * question.options.priors.common_scale
+        common = common_spread(question)
         joints = self.arm.joints
         effects = np.zeros((len(joints) + 1, len(self.names)))
         if SCALES not in (term.cause for term in self.equations.terms):

@@ -63,6 +63,12 @@ COMMON = 0.5
 """Error of all masses together, as a share of them, that is compared with one odd mass."""
 
 
+COMMON_SCALES = (0.1, 0.2, 0.4)
+"""Errors that all torques may share, of which the evidence chooses, as shares."""
+SHOWN = 0.5
+"""Least gain in the log evidence at which all torques are taken to be off together."""
+
+
 @dataclass(frozen=True)
 class LinkScales:
     """Factors on the stated standard deviations of all links but the last, by kind of error.
@@ -225,6 +231,10 @@ class LinkEvidence:
     gradient: Array
     common: float = 0.0
 
+    def with_common(self, error: float) -> LinkEvidence:
+        """Return the evidence where all masses, or all torques, share one more error."""
+        return replace(self, common=float(np.hypot(self.common, error)))
+
     def log_likelihood(self, scales: LinkScales) -> float:
         """Return log p(S) up to a constant."""
         scale = deviations(self.stated, self.share, scales, self.common)
@@ -260,6 +270,22 @@ def _log_evidence(evidence: LinkEvidence) -> float:
     """Return the log evidence of what is assumed of links, whatever their scales."""
     _, log_posterior = _scale_posterior(evidence)
     return float(np.logaddexp.reduce(log_posterior))
+
+
+def common_scale(evidence: LinkEvidence) -> float:
+    """Return how far all torques may be off together, as a share; zero where nothing shows it.
+
+    It shows as an error of all masses, from which no torque tells it.
+    """
+    before = _log_evidence(evidence)
+    gains = np.array(
+        [_log_evidence(evidence.with_common(each)) - before for each in COMMON_SCALES]
+    )
+    if np.max(gains) <= SHOWN:
+        return 0.0
+    probability = np.exp(gains - np.max(gains))
+    squares = np.square(COMMON_SCALES)
+    return float(np.sqrt(probability @ squares / np.sum(probability)))
 
 
 def odd_number(evidence: LinkEvidence) -> int | None:
