@@ -30,6 +30,7 @@ from robot_sysid.records.option_fields import (
     option,
     options_of,
     parse_folder,
+    shared_error,
 )
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.wording import option_name
@@ -342,11 +343,16 @@ class IdentifyConfig(LogConfig):
 def with_scale_prior(
     estimation: EstimationOptions, log: LogOptions, joint_names: Sequence[str]
 ) -> EstimationOptions:
-    """Return options of an estimate with the prior of scales that a torque scale file states.
+    """Return options of an estimate with the priors of scales that torque scales state.
 
-    It is a percentage per joint. A prior that the user sets, and a file without errors, change
-    nothing. ``joint_names`` are those of the chain (n,).
+    Of a file it is a percentage per joint, and of rough factors one of what all share. A prior that
+    the user sets, and factors without errors, change nothing. ``joint_names`` are those of the
+    chain (n,).
     """
+    common = 100.0 * shared_error(log.torque_scale)
+    if common and not estimation.priors.common_scale:
+        priors = replace(estimation.priors, common_scale=common)
+        estimation = replace(estimation, priors=priors)
     if not isinstance(log.torque_scale, Path):
         return estimation
     scale, error = joint_factors(log.torque_scale, joint_names, SCALE)

@@ -45,7 +45,13 @@ from robot_sysid.model.stated import placeholder_notes, with_references
 from robot_sysid.model.ties import refuse_tied_joints
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
+from robot_sysid.records.option_fields import (
+    DEFAULT_MAX_VELOCITY,
+    Factor,
+    PerJoint,
+    RoughFactors,
+    factor_with_error,
+)
 from robot_sysid.wording import option_name, option_setting
 
 
@@ -55,7 +61,7 @@ def load_robot_model(
     joint: str | None = None,
     max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
-    mass_scale: float | None = None,
+    mass_scale: Factor | None = None,
     gravity: Sequence[float] | Array | None = None,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
@@ -92,7 +98,7 @@ def load_robot_model(
         qpos[:] = mj_model.key_qpos[keyframe_id]
     path = Path("model" if is_in_memory(model) else model)
     robot = _arm_of(compiled, chain, path, qpos, max_velocity)
-    robot = with_mass_scale(robot, mass_scale or 1.0)
+    robot = with_mass_scale(robot, *factor_with_error(mass_scale))
     refuse_cad_units(robot)
     if gravity is not None:
         robot = with_gravity(robot, _turned_gravity(robot, gravity))
@@ -158,14 +164,17 @@ def _arm_of(
 
 
 def _notes_on_options(
-    mass_scale: float | None, gravity: Sequence[float] | Array | None
+    mass_scale: Factor | None, gravity: Sequence[float] | Array | None
 ) -> Iterator[str]:
     """Yield sentences on how options change the model that the file states."""
     if gravity is not None:
         x, y, z = gravity
         yield f"gravity is taken to act along ({x:g}, {y:g}, {z:g})"
     if mass_scale is not None:
-        yield f"the model's masses and moments of inertia are taken {mass_scale:g} times"
+        times = (
+            mass_scale if isinstance(mass_scale, RoughFactors) else f"{mass_scale:g}"
+        )
+        yield f"the model's masses and moments of inertia are taken {times} times"
 
 
 def _notes_on_choices(

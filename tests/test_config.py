@@ -134,6 +134,18 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     assert sure(torque_scale=path) is sure(torque_scale=1.1) is sure() is None
 
 
+def test_all_scales_may_be_off_together_by_what_the_option_or_the_user_says():
+    def sure(**values):
+        config = PayloadConfig.of(MODEL, **LOGS, **values)
+        priors = with_scale_prior(config.estimation, config.log, ("one", "two")).priors
+        return priors.scale, priors.common_scale
+
+    for text in ("1.7+-16%", "1.7,1.8 ± 16 %"):
+        assert sure(torque_scale=text) == (None, 16.0)
+    assert sure(torque_scale="1.7+-16%", priors={"common_scale": 3.0}) == (None, 3.0)
+    assert sure(torque_scale=1.7) == sure() == (None, 0.0)
+
+
 @given(st.floats(0.01, 1e5), st.floats(0.01, 1e5))
 def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_accepted(
     duration, rate

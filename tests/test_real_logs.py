@@ -19,6 +19,7 @@ from lxml import etree
 from rigs.files.params import motors, rows
 from rigs.files.places import DATA, ROOT
 from robot_sysid.cli import main
+from robot_sysid.records.option_fields import parse_factors
 
 KUKA = DATA / "kuka_lwr4"
 TX40 = DATA / "tx40"
@@ -208,9 +209,9 @@ def test_tiagos_efforts_are_named_with_the_command_that_weighs_their_constants(
         "torque.arm_3_joint = -arm_3_joint_effort",
         "torque.arm_4_joint = -arm_4_joint_effort",
     ]
-    scales = words[words.index("--torque-scale") + 1].split(",")
+    scales = parse_factors(words[words.index("--torque-scale") + 1]).values
     for joint, constant in ((2, 13.6), (3, 8.7), (4, 8.7)):
-        assert 0.7 < float(scales[joint]) * constant < 1.4
+        assert 0.7 < scales[joint] * constant < 1.4
 
 
 @pytest.mark.slow

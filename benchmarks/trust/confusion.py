@@ -180,6 +180,15 @@ class Answer:
         return abs(self.mass - self.true_mass) > SURE * self.error
 
     @property
+    def distance(self) -> float:
+        """Return how far all masses are off together [kg]; the last link may weigh next to nothing.
+
+        The wrong one of two ways is a factor on all of them.
+        """
+        masses = [(self.mass, self.error, self.true_mass), *self.other_masses]
+        return sum(abs(mass - true) for mass, _, true in masses)
+
+    @property
     def is_harmful(self) -> bool:
         """Return whether it is trusted and clearly wrong."""
         last = is_far(self.mass, self.error, self.true_mass, SURE)
@@ -401,7 +410,7 @@ class Judge:
                 ways = finding.options or ((),)
                 answers = [self.identify(paths, *way) for way in ways]
                 # Of several ways the user knows which is right, as it is the log or the model.
-                distances = [abs(answer.mass - answer.true_mass) for answer in answers]
+                distances = [answer.distance for answer in answers]
                 yield answers[int(np.argmin(np.nan_to_num(distances, nan=np.inf)))]
         paths = self.write_logs(self.scene.logs)
         doubted = dict.fromkeys(f.about for f in findings if f.level == "doubts")

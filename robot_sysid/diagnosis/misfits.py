@@ -6,6 +6,7 @@ not fit, with what is missing at which joint.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -141,14 +142,17 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
     robot = fitted.arm.robot
     current = search.current
     wrong = [*wrong_mass(current)]
-    if wrong:
-        yield from wrong
-        return
     # A fault that was found may explain them.
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
     # Scales follow whatever else is left over.
-    if is_odd and scales.common.fit.unexplained_share < LITTLE:
-        yield from scales.common.findings
+    is_odd &= scales.common.fit.unexplained_share < LITTLE
+    common = scales.common.findings if is_odd else ()
+    if wrong and common:
+        yield from map(either, wrong, common)
+    elif wrong:
+        yield from wrong
+    elif common:
+        yield from common
     elif not is_plausible(current):
         yield Finding(
             # What an empty log has wrong as well does not matter to a payload.
@@ -171,6 +175,23 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
             "before the last may be too small",
             RIGHT_MODEL,
         )
+
+
+def either(wrong: Finding, common: Finding) -> Finding:
+    """Return the finding that one link's mass is wrong, or all torques by a factor.
+
+    Both explain a log, and the user decides: where the doubt is accepted, the link's mass counts as
+    not known.
+    """
+    name = FaultName.MODEL
+    return replace(
+        common,
+        level=Level.DOUBTS,
+        about=name,
+        text=f"{wrong.text}; or {common.text}",
+        remedy=f"{wrong.remedy}; or {common.remedy}",
+        options=(("--accept", name), *common.options),
+    )
 
 
 def wrong_mass(fitted: Fit) -> Iterator[Finding]:
@@ -285,8 +306,10 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
     Nothing may write such a model, whatever else is said of its log.
     """
     arm = fitted.arm
-    masses = {link: arm.model[arm.links[link][0]] for link in arm.others}
-    found = {link: fitted.by_name[arm.links[link][0]] for link in arm.others}
+    # One link may be wrong in the model.
+    links = [link for link in arm.others if link != fitted.question.odd_link]
+    masses = {link: arm.model[arm.links[link][0]] for link in links}
+    found = {link: fitted.by_name[arm.links[link][0]] for link in links}
     lost = [link for link, mass in masses.items() if found[link] < LOST * mass]
     share = sum(masses[link] for link in lost) / max(sum(masses.values()), 1e-300)
     if share > MOST_LINKS:

@@ -388,7 +388,7 @@ class ScaleCorrections:
         # Loss for scales that fit the data instead of being one: the prior's volume over that left.
         penalty = np.sum(np.log(SPREAD / scales.own_errors))
         sure = np.flatnonzero(scales.are_sure)
-        finding = own_finding(fitted, values, sure, self.evidence)
+        finding = own_finding(fitted, scales, sure, self.evidence)
         gain = gain_between(fitted, after, 1.0 / np.abs(values)) - penalty
         return Correction((finding,), float(gain), after)
 
@@ -400,10 +400,19 @@ class ScaleCorrections:
             yield self.own
 
 
-def torque_scale(scales: Array) -> tuple[str, str]:
-    """Return the option that divides torques by scales (n,), one number where they are alike."""
+def torque_scale(scales: Array, error: float = 0.0) -> tuple[str, str]:
+    """Return the option that divides torques by scales (n,), one number where they are alike.
+
+    ``error``: relative standard error of what they have in common.
+    """
     texts = [f"{value:.4g}" for value in scales]
-    return "--torque-scale", ",".join(texts if len({*texts}) > 1 else texts[:1])
+    listed = ",".join(texts if len({*texts}) > 1 else texts[:1])
+    return "--torque-scale", f"{listed}{stated_error(error)}"
+
+
+def stated_error(error: float) -> str:
+    """Return the error of factors as the options of factors take it, "" for none."""
+    return f"+-{100.0 * error:.2g}%" if error else ""
 
 
 def common_finding(
@@ -422,7 +431,10 @@ def common_finding(
     )
     unit_text = f" (as in {UNITS[unit]})" if is_close else ""
     options: tuple[tuple[str, str], ...]
-    options = (torque_scale((unit if is_close else factor) * evidence.divided),)
+    if is_close:
+        options = (torque_scale(unit * evidence.divided),)
+    else:
+        options = (torque_scale(factor * evidence.divided, relative_error),)
     name = FaultName.TORQUE_UNIT
     command = ""
     if mass_unit(robot, factor) != 1.0:
@@ -433,7 +445,8 @@ def common_finding(
         command = "payload"
     else:
         name = FaultName.TORQUE_SCALE
-        options = (("--mass-scale", f"{factor * robot.mass_scale:.4g}"), *options)
+        masses = f"{factor * robot.mass_scale:.4g}{stated_error(relative_error)}"
+        options = (("--mass-scale", masses), *options)
         masses, torques = (
             option_name(name, way[1])
             for name, way in zip(("mass_scale", "torque_scale"), options)
@@ -478,13 +491,14 @@ def alone_finding(
 
 
 def own_finding(
-    fitted: Fit, scale: Array, sure: NDArray[np.int64], evidence: Evidence
+    fitted: Fit, scales: TorqueScales, sure: NDArray[np.int64], evidence: Evidence
 ) -> Finding:
-    """Return the finding on torque scales (J,), of which those with indices ``sure`` are found.
+    """Return the finding on torque scales, of which those with indices ``sure`` are found.
 
     A scale is negative where the torque has the opposite sign of the model's.
     """
     names = fitted.arm.joints
+    scale = scales.known_values
     known = np.abs(scale[sure])
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
     is_sensor = np.max(np.abs(np.log(known))) <= np.log(SENSOR)
@@ -499,7 +513,7 @@ def own_finding(
         "factor of its own for every joint, as motor currents or per cent of rated torque have, or "
         "all masses of the model are wrong",
         with_option_names(WEIGHING),
-        (torque_scale(np.abs(scale) * evidence.divided),),
+        (torque_scale(np.abs(scale) * evidence.divided, scales.common[1]),),
         "payload",
         torque_reading(fitted.arm, np.sign(scale)).columns if opposite else None,
     )

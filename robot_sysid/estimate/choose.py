@@ -24,6 +24,8 @@ from robot_sysid.estimate.links import (
     AS_STATED,
     LinkEvidence,
     average_scales,
+    common_error,
+    common_scale,
     link_directions,
     odd_number,
     reference_links,
@@ -188,10 +190,13 @@ def answer_of(fitted: Fit) -> Fit:
     """Return the fit of a question from that by which its logs were judged.
 
     Offsets of torque sensors are then as small as they usually are, and what the data decides of
-    the links follows from that; one of them may be far more off than the others. (A log is judged
-    without that: a link that is far off would take up what is wrong with a joint's torque.)
+    the links follows from that; one of them may be far more off than the others, or all torques by
+    one factor. (A log is judged without that: a link that is far off would take up what is wrong
+    with a joint's torque.)
     """
-    question = replace(fitted.question, usual_offsets=True, link_scales=AS_STATED)
+    question = replace(
+        fitted.question, usual_offsets=True, link_scales=AS_STATED, common_scale=0.0
+    )
     torque = fitted.sums.rms_torque
     terms = arm_question(fitted.arm, question, torque)
     answer = replace(fitted, question=question).refit(terms)
@@ -217,8 +222,12 @@ def with_links_of(fitted: Fit, torque: Array, odd: int | None = None) -> Fit:
     evidence = link_evidence(fitted)
     if evidence is not None:
         stated = stated_kinds(fitted.arm.robot, fitted.arm.others, odd)
-        scales = average_scales(replace(evidence, stated=stated))
-        question = replace(question, link_scales=scales)
+        evidence = replace(evidence, stated=stated)
+        if question.usual_offsets and question.asks_common_scale:
+            common = common_scale(evidence)
+            question = replace(question, common_scale=common)
+            evidence = evidence.with_common(common)
+        question = replace(question, link_scales=average_scales(evidence))
     terms = arm_question(fitted.arm, question, torque)
     return replace(fitted, question=question).refit(terms, possible=True)
 
@@ -317,12 +326,14 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     robot = fitted.arm.robot
     others = fitted.arm.others
     directions = link_directions(robot, others)
+    share = PER_CENT * fitted.question.options.priors.link
     off = gradient - curvature @ reference_links(robot, others)
     return LinkEvidence(
         stated_kinds(robot, others),
-        PER_CENT * fitted.question.options.priors.link,
+        share,
         directions.T @ curvature @ directions,
         directions.T @ off,
+        common_error(robot, share),
     )
 
 

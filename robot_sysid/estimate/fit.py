@@ -28,7 +28,12 @@ from numpy.typing import NDArray
 from robot_sysid import spatial
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
-from robot_sysid.estimate.questions import Question, arm_question, scale_spread
+from robot_sysid.estimate.questions import (
+    Question,
+    arm_question,
+    common_spread,
+    scale_spread,
+)
 from robot_sysid.estimate.rows import Sums, indices_of, row_chunks
 from robot_sysid.estimate.terms import (
     FRICTION,
@@ -441,11 +446,12 @@ class Fit(Problem):
         """Covariance (k, k) of what torque scales do beyond their columns.
 
         Friction and rotors are in units of the sensor: their relative error is that of their
-        joint's scale. A payload has that of an error which all scales share, which the prior of
-        its question leaves out.
+        joint's scale and of what all scales share. A payload has that of an error which all scales
+        share, which the prior of its question leaves out.
         """
         question = self.question
         deviations = scale_spread(self.arm, question.options, question.loaded)
+        common = common_spread(question)
         joints = self.arm.joints
         effects = np.zeros((len(joints) + 1, len(self.names)))
         if SCALES not in (term.cause for term in self.equations.terms):
@@ -453,7 +459,7 @@ class Fit(Problem):
         for term, span in self.equations.spans:
             if term.cause == PAYLOAD:
                 shared = np.linalg.norm(deviations) / len(joints)
-                effects[-1, span] = shared * self.free[span]
+                effects[-1, span] = np.hypot(shared, common) * self.free[span]
             # The loss of a gear is a share, and has no unit.
             elif term.cause in (FRICTION, FURTHER_FRICTION) and term.parameters[0].unit:
                 # A motor that turns several joints has no scale of its own.
@@ -462,6 +468,7 @@ class Fit(Problem):
                 owners = itertools.compress(term.parameters, of_joints)
                 rows = [joints.index(parameter.of) for parameter in owners]
                 effects[rows, at] = deviations[rows] * self.values[at]
+                effects[-1, at] = common * self.values[at]
         return effects.T @ effects
 
     @cached_property

@@ -61,6 +61,12 @@ class Priors(OptionRecord):
         default_text="2; 3 of payloads, 40 with a known mass; what a file of torque scales says of "
         "itself",
     )
+    common_scale: float = option(
+        0.0,
+        "how far all torque scales may be off together",
+        "P [%] >= 0",
+        default_text="0, as in most sensors, or what the factor of torques says of itself",
+    )
     zero: float = option(
         usual_errors.ZERO,
         "how far each joint's zero position may be off",

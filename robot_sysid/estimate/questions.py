@@ -72,6 +72,8 @@ class Question:
         link_scales: factors on the stated uncertainty of all links but the terminal one.
         odd_link: number in the arm of the link whose mass is far more off than the others', and has
             an error as large as itself; None for none.
+        common_scale: how far all torque scales may be off together, as a share, by what the data
+            says of all masses; zero for what the options say.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None for the
             model's.
         is_first: whether it comes before any fit, which tells dry friction that fades with speed
@@ -88,6 +90,7 @@ class Question:
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
     odd_link: int | None = None
+    common_scale: float = 0.0
     dry: tuple[float, ...] | None = None
     is_first: bool = False
     usual_offsets: bool = False
@@ -96,6 +99,16 @@ class Question:
     def friction(self) -> tuple[str, ...]:
         """Friction terms of every joint that are estimated without a prior."""
         return self.options.friction
+
+    @property
+    def asks_common_scale(self) -> bool:
+        """Whether the data says how far all torque scales may be off together.
+
+        Not where sensors are known, nor where only differences of logs count.
+        """
+        is_known = self.options.priors.scale is not None
+        is_compared = self.changed is not None or self.differing is not None
+        return not (is_known or is_compared or self.loaded)
 
 
 def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]:
@@ -146,8 +159,11 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
             if cause in arm.terms:
                 sizes[cause] = _sizes(arm.terms[cause], question, sizes[cause], wrong)
     for cause, size in sizes.items():
-        if cause in arm.terms and np.any(size > 0.0):
+        common = common_spread(question) * (cause == SCALES)
+        if cause in arm.terms and np.any(size + common > 0.0):
             prior = independent(np.full(len(arm.terms[cause].names), size))
+            if common:
+                prior = with_common(prior, common)
             if cause == SCALES and question.loaded and question.known_mass is None:
                 prior = without_common(prior)
             terms.append(replace(arm.terms[cause], prior=prior))
@@ -220,6 +236,20 @@ def _last_link(arm: ArmTerms, question: Question) -> Term:
     last = [arm.robot.n_joints - 1]
     factor = link_factor(arm.robot, last, share, LinkScales(*scales.tolist()))
     return replace(term, prior=Prior(term.reference, factor))
+
+
+def common_spread(question: Question) -> float:
+    """Return the prior standard deviation of what all torque scales have in common, a share."""
+    stated = PER_CENT * question.options.priors.common_scale
+    return float(np.hypot(stated, question.common_scale))
+
+
+def with_common(prior: Prior, common: float) -> Prior:
+    """Return the prior of torque scales with an error that all of them share."""
+    covariance = prior.factor @ prior.factor.T + common**2
+    # A prior needs an inverse, also of scales that are known beside it.
+    covariance += (NEGLIGIBLE * common) ** 2 * np.eye(len(covariance))
+    return Prior(prior.mean, np.asarray(np.linalg.cholesky(covariance)))
 
 
 def without_common(prior: Prior) -> Prior:

@@ -41,7 +41,8 @@ class LogOptions(OptionRecord):
     )
     torque_scale: Optional[Factors] = option(
         None,
-        "divide torques by this: a number, one per joint, or a file",
+        "divide torques by this: a number, one per joint, or a file; 1.7+-16% may be so far off, "
+        "at all joints together",
         "SCALE",
         check=check_factor,
     )

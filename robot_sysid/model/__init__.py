@@ -9,7 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Optional
 
-from robot_sysid.records.option_fields import OptionRecord, PathUse, option
+from robot_sysid.records.option_fields import (
+    Factor,
+    OptionRecord,
+    PathUse,
+    check_scale,
+    option,
+)
 
 
 @dataclass(frozen=True)
@@ -26,10 +32,12 @@ class ModelOptions(OptionRecord):
     joint: Optional[str] = option(
         None, "terminal joint", "NAME", default_text="found automatically"
     )
-    mass_scale: Optional[float] = option(
+    mass_scale: Optional[Factor] = option(
         None,
-        "multiply all masses and moments of inertia of the model by this",
-        "FACTOR > 0",
+        "multiply all masses and moments of inertia of the model by this; 1.7+-16% may be so far "
+        "off",
+        "FACTOR",
+        check=check_scale,
     )
     gravity: Optional[tuple[float, ...]] = option(
         None,

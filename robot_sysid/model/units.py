@@ -41,8 +41,12 @@ DENSEST = 2e5
 """Mass over the cube of the radius of gyration of a sphere of the densest metal [kg/m^3]."""
 
 
-def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:
-    """Return an arm all of whose masses and moments of inertia are multiplied by a factor."""
+def with_mass_scale(robot: RobotModel, factor: float, error: float = 0.0) -> RobotModel:
+    """Return an arm all of whose masses and moments of inertia are multiplied by a factor.
+
+    ``error``: by which share it may be off.
+    """
+    robot = replace(robot, mass_error=float(np.hypot(robot.mass_error, error)))
     if factor == 1.0:
         return robot
     mj_model = copy.copy(robot.mj_model)

@@ -241,6 +241,7 @@ class RobotModel:
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".
         mass_scale: by which masses and moments of inertia differ from those of the file.
+        mass_error: by which share all of them together may be off, where the user says so.
         gravity: (3,) in place of that of the file [m/s^2]; None for the file's.
         stated_speeds: (n,) speed limits that the file states [rad/s or m/s], infinite where it
             states none; the limits above may be the user's. None for none.
@@ -260,6 +261,7 @@ class RobotModel:
     sha256: str = ""
     kind: str = "mjcf"
     mass_scale: float = 1.0
+    mass_error: float = 0.0
     gravity: Array | None = None
     stated_speeds: Array | None = None
     notes: tuple[str, ...] = ()

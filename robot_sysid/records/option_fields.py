@@ -10,6 +10,9 @@ in it. A file lists them by joint, without or with their standard errors::
 
     {"torque_scale": {"joint1": 1.31, "joint2": 1.27}}
     {"torque_scale": {"joint1": {"value": 1.31, "standard_error": 0.004}, ...}}
+
+A factor that a log itself showed is known no better than the masses by which it was told: stated as
+"1.69+-16%", it may be so far off at all joints together.
 """
 
 from __future__ import annotations
@@ -50,7 +53,30 @@ if TYPE_CHECKING:
 
 PerJoint = Union[float, tuple[float, ...]]
 """One number for all joints, or one per joint."""
-Factors = Union[PerJoint, Path]
+
+
+@dataclass(frozen=True)
+class RoughFactors:
+    """Factors that may be off, all by the same share.
+
+    Attributes:
+        values: one number, or one per joint.
+        error: standard deviation of what they have in common, as a share.
+    """
+
+    values: PerJoint
+    error: float
+
+    def __str__(self) -> str:
+        """Return them as they are typed."""
+        values = self.values if isinstance(self.values, tuple) else (self.values,)
+        listed = ",".join(f"{value:.12g}" for value in values)
+        return f"{listed}+-{100.0 * self.error:.12g}%"
+
+
+Factor = Union[float, RoughFactors]
+"""One number, which may be rough."""
+Factors = Union[PerJoint, Path, RoughFactors]
 """One number for all joints, one per joint, or the file that lists them by name."""
 Columns = Union[Path, str]
 """The file that says which column is what, or a line that does."""
@@ -75,6 +101,8 @@ Record = TypeVar("Record")
 """Any class of records of options."""
 # Name of a value, unit in brackets and range, all optional, as in "V [rad/s] > 0".
 _VALUE_FORM = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
+# Factors and, in per cent, how far they may be off.
+_ROUGH_FORM = re.compile(r"(.+?)\s*(?:\+/?-|±)\s*(.+?)\s*%")
 
 
 class PathUse(Enum):
@@ -462,8 +490,32 @@ def parse_numbers(text: str) -> PerJoint:
     return numbers[0] if len(numbers) == 1 else numbers
 
 
+def parse_factor(text: str) -> Factor:
+    """Return the number in a text, such as "1.69" or "1.69+-16%"."""
+    rough = _rough_factors(text)
+    if rough is None:
+        return float(text)
+    if isinstance(rough.values, tuple):
+        raise InputError(f"{text!r} has more than one number")
+    return rough
+
+
+def _rough_factors(text: str) -> RoughFactors | None:
+    """Return the factors in a text that states how far they may be off; None for another one."""
+    form = _ROUGH_FORM.fullmatch(text)
+    if form is None:
+        return None
+    error = parse_numbers(form[2])
+    if isinstance(error, tuple):
+        raise InputError(f"{text!r} has more than one error; all numbers share one")
+    return RoughFactors(parse_numbers(form[1]), 0.01 * error)
+
+
 def parse_factors(text: str) -> Factors:
     """Return the numbers in a text, or the file that it names."""
+    rough = _rough_factors(text)
+    if rough is not None:
+        return rough
     try:
         return parse_numbers(text)
     except InputError:
@@ -479,10 +531,31 @@ def parse_columns(text: str) -> Columns:
     return text if "=" in text and not os.path.exists(text) else Path(text)
 
 
-def check_factor(value: float | Path) -> str | None:
+def check_scale(value: Factor) -> str | None:
+    """Return a complaint unless a value has positive numbers only; None where it has."""
+    if not isinstance(value, RoughFactors):
+        return check_positive(value)
+    complaints = map(check_positive, (*leaves(value.values), value.error))
+    return next(filter(None, complaints), None)
+
+
+def check_factor(value: Factor | Path) -> str | None:
     """Return a complaint unless a value is a file or a positive number; None where it is."""
-    complaint = None if isinstance(value, Path) else check_positive(value)
+    complaint = None if isinstance(value, Path) else check_scale(value)
     return complaint and f"{complaint}; turn a sign round in the columns file"
+
+
+def factor_with_error(factor: Factor | None) -> tuple[float, float]:
+    """Return a factor, one for None, and by which share it may be off."""
+    if not isinstance(factor, RoughFactors):
+        return factor or 1.0, 0.0
+    (value,) = leaves(factor.values)
+    return float(value), factor.error
+
+
+def shared_error(factors: Factors | None) -> float:
+    """Return by which share all of some factors may be off together; zero where none is stated."""
+    return factors.error if isinstance(factors, RoughFactors) else 0.0
 
 
 def joint_factors(
@@ -501,7 +574,8 @@ def joint_factors(
     import numpy as np
 
     if not isinstance(factors, Path):
-        values = joint_values(factors or 1.0, len(joint_names), option_name(table))
+        stated = factors.values if isinstance(factors, RoughFactors) else factors
+        values = joint_values(stated or 1.0, len(joint_names), option_name(table))
         return np.array([values, np.full(len(values), np.nan)])
     by_joint = read_factors(factors, table)
     for name in joint_names:
@@ -581,10 +655,11 @@ _KINDS: Mapping[Any, ValueKind] = {
     ),
     Factors: ValueKind(
         parse_factors,
-        (Real, os.PathLike),
+        (Real, os.PathLike, RoughFactors),
         "a number, a file, or one per joint",
         per_joint=True,
     ),
+    Factor: ValueKind(parse_factor, (Real, RoughFactors), "a number"),
     Columns: ValueKind(
         parse_columns, (str, os.PathLike), "a file, or a line such as 'position = q[*]'"
     ),

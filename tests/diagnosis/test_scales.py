@@ -9,6 +9,7 @@ import pytest
 
 from robot_sysid.diagnosis.scales import TorqueScales
 from robot_sysid.records.messages import Level
+from robot_sysid.records.option_fields import parse_factors
 from tests.diagnosis.conftest import found_in
 
 
@@ -64,6 +65,6 @@ def test_a_factor_is_noted_with_both_ways_and_refused_from_a_larger_one_on(
         assert all(" ".join(way) in each.remedy for way in each.options)
         right = replace(
             four_joints.log,
-            tau=factor * four_joints.log.tau / float(each.options[1][1]),
+            tau=factor * four_joints.log.tau / parse_factors(each.options[1][1]).values,
         )
         assert found_in(four_joints, tau=right.tau) == ()

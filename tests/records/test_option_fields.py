@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.files.refusals import refused
+from robot_sysid.errors import InputError
 from robot_sysid.records.option_fields import (
     CONSTANTS,
     SCALE,
@@ -28,11 +29,13 @@ from robot_sysid.records.option_fields import (
     joint_values,
     option,
     options_of,
+    parse_factor,
     parse_factors,
     parse_numbers,
     parse_whole_number,
     read_factors,
     record_from,
+    shared_error,
     write_torque_scale,
 )
 
@@ -184,6 +187,23 @@ def test_factors_given_as_text_are_used_to_the_last_bit(values):
     assert_array_equal(joint_factors(typed, JOINTS, SCALE)[0], values)
     one = joint_factors(parse_factors(repr(values[0])), JOINTS, SCALE)
     assert_array_equal(one, [[values[0]] * 3, [np.nan] * 3])
+
+
+@given(st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=3), st.floats(1e-3, 10.0))
+def test_factors_that_may_be_off_are_typed_as_they_are_read(values, error):
+    rough = parse_factors(f"{','.join(map(repr, values))} ± {100.0 * error!r} %")
+    assert_allclose(rough.values, values if len(values) > 1 else values[0], rtol=1e-12)
+    assert shared_error(rough) == pytest.approx(error)
+    again = parse_factors(str(rough))
+    assert_allclose(again.values, rough.values, rtol=1e-11)
+    assert shared_error(again) == pytest.approx(error)
+    assert shared_error(parse_factors("1.5")) == shared_error(None) == 0.0
+
+
+@pytest.mark.parametrize("text", ["1.7+-x%", "1.7+-1,2%", "1,2+-3%", "x+-3%"])
+def test_a_factor_with_another_form_is_refused(text):
+    with pytest.raises(InputError):
+        parse_factor(text)
 
 
 def test_a_file_is_read_by_joint_names(tmp_path):
