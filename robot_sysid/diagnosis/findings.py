@@ -117,7 +117,9 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
         return unexplained_findings(fitted, search), right
     named += name_faults(search.rounds[:MOST_NAMED])
     if not any(each.about is FaultName.DELAY for each in named):
-        named += delay_findings(right)
+        # One that explains too little torque to be named may be most of a joint's friction.
+        late = (each.fitted for each in search.winners if each.name is FaultName.DELAY)
+        named += delay_findings(right, next(late, search.current))
     unmeasured = [each for each in named if each.about in UNMEASURED]
     if unmeasured:
         return unmeasured, right

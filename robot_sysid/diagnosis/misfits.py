@@ -30,16 +30,18 @@ from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
-from robot_sysid.estimate.choose import answer_of, odd_link, solve_question
+from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.offers import Offers
+from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS
+from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
-from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
+from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
-from robot_sysid.records.parameters import DELAY
+from robot_sysid.records.parameters import DELAY, ZERO
+from robot_sysid.records.usual_errors import WRONG_DELAY
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name
 
@@ -47,8 +49,17 @@ RIGHT_MODEL = "check that the model is of this arm, with all that is fixed to it
 MEASURED = "record the measured joint torque"
 CAUSES_IN_FILE = (LAST_LINK, LINKS, FRICTION)
 """Causes of torque of which a model file has numbers."""
+TELLING_APART = (
+    "stand the joint where the model has its zero and look at the link with a spirit level, or "
+    "record once more with a known mass on the flange, which weighs where the joint really is"
+)
+"""What tells a wrong zero from wrong centres of mass."""
 OTHER_ARM = 0.3
 """Share of all torque that is unexplained from which on it is another arm's."""
+LATE_JOINT = 5.0
+"""Least gain in the log evidence at which the torque of one joint is late: right logs gain 0.4 at
+most, 20 ms at a shoulder 7 to 15, for weight that comes late is viscous friction but for a few
+tenths of a per cent [nats]."""
 FAR_OFF = 0.4
 """Share by which a mass is off the model's for sure, to be named for a log: one link of a right arm
 is off by as much."""
@@ -88,20 +99,31 @@ def time_findings(fitted: Fit, evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def delay_findings(fitted: Fit) -> Iterator[Finding]:
+def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
     """Yield the finding that torque is later than position by more than it usually is.
 
-    Every fit estimates it. It is a doubt where friction, which turns round at other instants then,
-    or links come out otherwise with torques that are moved back.
+    Every fit estimates the delay of all joints; that of one joint hides in its viscous friction,
+    which in a motion all over the range is what weight does that comes late. It is a doubt where
+    friction, which turns round at other instants then, or links come out otherwise with torques
+    that are moved back.
+
+    Args:
+        fitted: the fit of the log.
+        current: the same with the faults that have joined it, but for a delay.
     """
-    options = fitted.question.options
     name = DELAY.key
     if fitted.question.differing is not None or name not in fitted.names:
         return
     value, error = fitted.by_name[name], fitted.error_of(name)
-    if abs(value) < SURE * max(error, 1e-3 * options.priors.delay):
+    owner, joints = "all joints", fitted.arm.indices
+    if not is_late(fitted, value, error):
+        joint, value, error = late_joint(current)
+        owner, joints = f"joint {fitted.arm.joints[joint]}", joints[[joint]]
+    if not is_late(fitted, value, error):
         return
-    moved = [earlier(recording, value) for recording in fitted.recordings]
+    delays = np.zeros(fitted.arm.robot.n_joints)
+    delays[joints] = value
+    moved = [earlier(recording, delays) for recording in fitted.recordings]
     after = solve_question(fitted.arm.robot, moved, fitted.question)
     held = [t for t in fitted.equations.terms if t.cause in CAUSES_IN_FILE]
     names = {name for term in held for name in term.names}
@@ -112,16 +134,35 @@ def delay_findings(fitted: Fit) -> Iterator[Finding]:
     yield Finding(
         Level.DOUBTS if is_harmful and not fitted.question.loaded else Level.SAYS,
         FaultName.DELAY,
-        f"torque of all joints is {with_error(1e3 * abs(value), 1e3 * error, 'ms')} "
+        f"torque of {owner} is {with_error(1e3 * abs(value), 1e3 * error, 'ms')} "
         f"{'later' if value > 0.0 else 'earlier'} than position",
         "record torques and positions of all joints at the same instant",
     )
 
 
-def earlier(recording: FilteredRecording, delay: float) -> FilteredRecording:
-    """Return a recording with torques that are moved back by a delay [s]."""
+def is_late(fitted: Fit, value: float, error: float) -> bool:
+    """Return whether a delay and its error [s] are larger than delays usually are."""
+    usual = 1e-3 * fitted.question.options.priors.delay
+    return abs(value) >= SURE * max(error, usual)
+
+
+def late_joint(fitted: Fit) -> tuple[int, float, float]:
+    """Return (joint, delay of its torque alone, its error [s]); zero where none is shown."""
+    offers = Offers(fitted)
+    size = 1e-3 * np.array([[WRONG_DELAY]])
+    joints = range(len(fitted.arm.joints))
+    every = [offers.offer(Effect((DELAY.key,), size, joint)) for joint in joints]
+    joint = max(joints, key=lambda each: every[each].gain)
+    found = offers.weigh(every[joint].effect)
+    is_shown = min(every[joint].gain, found.gain) >= LATE_JOINT
+    return joint, float(found.values[0]) * is_shown, float(found.errors[0])
+
+
+def earlier(recording: FilteredRecording, delays: Array) -> FilteredRecording:
+    """Return a recording with torques that are moved back by delays (n,) [s]."""
     time = recording.time
-    tau = [np.interp(time + delay, time, column) for column in recording.tau.T]
+    pairs = zip(delays, recording.tau.T)
+    tau = [np.interp(time + delay, time, column) for delay, column in pairs]
     return recording.using(recording.is_used, tau=np.stack(tau, axis=1))
 
 
@@ -141,13 +182,17 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
     fitted = scales.fitted
     robot = fitted.arm.robot
     current = search.current
-    wrong = [*wrong_mass(current)]
+    answer = answer_of(current)
+    zeros = [] if search.winners else [*odd_zeros(answer)]
+    wrong = [*wrong_mass(answer)]
     # A fault that was found may explain them.
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
     # Scales follow whatever else is left over.
     is_odd &= scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
-    if wrong and common:
+    if zeros:
+        yield from (*zeros, *wrong)
+    elif wrong and common:
         yield from map(either, wrong, common)
     elif wrong:
         yield from wrong
@@ -194,14 +239,35 @@ def either(wrong: Finding, common: Finding) -> Finding:
     )
 
 
-def wrong_mass(fitted: Fit) -> Iterator[Finding]:
+def odd_zeros(answer: Fit) -> Iterator[Finding]:
+    """Yield the findings that zeros are far more off than usual, or centres of mass beyond them.
+
+    It is a doubt where the log tells them apart: half the square of a number's distance from zero
+    in its errors is about its gain.
+    """
+    arm = answer.arm
+    for joint, name in zip(
+        arm.robot.joint_names, map(ZERO.key_of, arm.robot.joint_names)
+    ):
+        if name in answer.question.odd_zeros:
+            value, error = answer.by_name[name], answer.error_of(name)
+            is_clear = 0.5 * (value / error) ** 2 > CLEAR
+            yield Finding(
+                Level.DOUBTS if is_clear else Level.SAYS,
+                FaultName.ZERO,
+                f"the position of joint {joint} reads {with_error(abs(value), error, 'rad')} too "
+                f"{'much' if value > 0.0 else 'little'}; or the centres of mass of the links that "
+                "it carries are off the model's by as much: the log tells them hardly apart, and "
+                "their ± has both",
+                TELLING_APART,
+            )
+
+
+def wrong_mass(answer: Fit) -> Iterator[Finding]:
     """Yield the finding that the log contradicts the mass of one link of the model by far.
 
     It has to be farther off than a link of a right model may be.
     """
-    if odd_link(fitted) is None:
-        return
-    answer = answer_of(fitted)
     number = answer.question.odd_link
     if number is None:
         return

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import (
     POLYNOMIAL,
     VISCOUS,
@@ -18,6 +19,7 @@ from robot_sysid.dynamics.friction import (
     stated_top,
     top_speeds,
 )
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.estimate.contacts import without_contacts, without_turns
 from robot_sysid.estimate.fit import Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
@@ -35,6 +37,7 @@ from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import LEAST_DRY, PER_CENT, Question, arm_question
 from robot_sysid.estimate.terms import (
     LINKS,
+    ZEROS,
     ArmTerms,
     Point,
     Term,
@@ -45,8 +48,13 @@ from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE
 from robot_sysid.records.messages import Progress
+from robot_sysid.records.parameters import ZERO
 from robot_sysid.signals.process import FilteredRecording
 
+ODD_ZERO = 2.5
+"""Least gain in the log evidence at which a joint's zero is taken to be far more off than usual, as
+for a link's mass (``links.ODD``): right logs gain 0.5 at most, 3 degrees at a shoulder, of which
+centres of mass hide most, 3.5 or more."""
 # Shows nothing.
 _SILENT = Progress()
 # What is shown of the way to an answer.
@@ -197,10 +205,50 @@ def answer_of(fitted: Fit) -> Fit:
     question = replace(
         fitted.question, usual_offsets=True, link_scales=AS_STATED, common_scale=0.0
     )
+    answer = answer_to(fitted, question)
+    while (zero := odd_zero(answer)) is not None:
+        question = replace(question, odd_zeros=(*question.odd_zeros, zero))
+        answer = answer_to(fitted, question)
+    return answer
+
+
+def answer_to(fitted: Fit, question: Question) -> Fit:
+    """Return the fit of another question, with what the data decides of the links."""
     torque = fitted.sums.rms_torque
     terms = arm_question(fitted.arm, question, torque)
     answer = replace(fitted, question=question).refit(terms)
     return with_links_of(answer, torque, odd_link(answer))
+
+
+def odd_zero(fitted: Fit) -> str | None:
+    """Return the name of the zero that is far more off than usual, beside known ones; or None.
+
+    Centres of mass of the links that a joint carries take up most of a wrong zero, so that no
+    torque is left that would name it; held at the usual zero, they are many of their errors off. A
+    tilt of the base is the simpler cause where it explains as much.
+    """
+    question = fitted.question
+    is_compared = question.changed is not None or question.differing is not None
+    spans = [s for t, s in fitted.equations.spans if t.cause == ZEROS]
+    if question.loaded or is_compared or not spans or not fitted.arm.others:
+        return None
+    offers = Offers(fitted)
+    size = 1e-3 * np.array([[usual_errors.WRONG_ZERO]])
+    slides = map(ZERO.key_of, fitted.arm.robot.slides)
+    names = {*fitted.arm.terms[ZEROS].names} - {*slides, *question.odd_zeros}
+    every = [offers.offer(Effect((name,), size)) for name in sorted(names)]
+    best = max(every, default=None, key=lambda each: each.gain)
+    if best is None or best.gain < ODD_ZERO:
+        return None
+    tilt = np.radians(usual_errors.WRONG_GRAVITY) * np.eye(len(TILT_NAMES))
+    simpler = (
+        offers.offer(Effect(TILT_NAMES, tilt)).gain
+        if TILT_NAMES[0] in fitted.names
+        else 0.0
+    )
+    weighed = offers.weigh(best.effect)
+    is_odd = min(best.gain - max(simpler, 0.0), weighed.gain) > ODD_ZERO
+    return best.effect.names[0] if is_odd and weighed.distance > SURE else None
 
 
 def odd_link(fitted: Fit) -> int | None:

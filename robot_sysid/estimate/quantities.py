@@ -24,6 +24,7 @@ from robot_sysid.estimate.terms import (
     LAST_LINK,
     MOTORS,
     PAYLOAD,
+    ZEROS,
     ArmTerms,
     Term,
 )
@@ -104,15 +105,22 @@ def body_estimate(
         values: (k,) of the estimated ones.
         prior: parameters in the model; None where the model lacks the body.
     """
+    budget = fitted.budget(combinations)
+    covariance = combinations @ fitted.covariance @ combinations.T
+    if fitted.question.odd_zeros:
+        # A file lacks zeros: its bodies take up the torque of one that is far off.
+        taken = combinations @ (values - fitted.values)
+        covariance = covariance + np.outer(taken, taken)
+        budget[ZEROS] = np.hypot(budget.get(ZEROS, 0.0), taken)
     weight = np.abs(combinations)
     share = weight @ fitted.share() / np.maximum(np.sum(weight, axis=1), 1e-300)
     hidden = weight[:, fitted.is_hidden]
     return BodyEstimate(
         theta=combinations @ values,
         name=name,
-        covariance=combinations @ fitted.covariance @ combinations.T,
+        covariance=covariance,
         is_determined=np.max(hidden, axis=1, initial=0.0) < 1e-9,
-        budget=fitted.budget(combinations),
+        budget=budget,
         data_share=np.clip(share, 0.0, 1.0),
         prior=prior,
     )

@@ -74,6 +74,7 @@ class Question:
             an error as large as itself; None for none.
         common_scale: how far all torque scales may be off together, as a share, by what the data
             says of all masses; zero for what the options say.
+        odd_zeros: names of the zeros of joints that are far more off than usual.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None for the
             model's.
         is_first: whether it comes before any fit, which tells dry friction that fades with speed
@@ -91,6 +92,7 @@ class Question:
     link_scales: LinkScales = AS_STATED
     odd_link: int | None = None
     common_scale: float = 0.0
+    odd_zeros: tuple[str, ...] = ()
     dry: tuple[float, ...] | None = None
     is_first: bool = False
     usual_offsets: bool = False
@@ -149,7 +151,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     sizes: dict[str, Array | float] = {
         SCALES: scale,
         # Priors are in milliradians and milliseconds.
-        ZEROS: 1e-3 * priors.zero,
+        ZEROS: zero_spread(arm, question),
         **drifts,
         TILT: np.radians(priors.gravity),
         DELAY: 1e-3 * priors.delay,
@@ -323,6 +325,14 @@ def _unknown_friction(
                 prior=independent(deviations),
                 is_bounded=False,
             )
+
+
+def zero_spread(arm: ArmTerms, question: Question) -> Array:
+    """Return the prior standard deviation (J,) of each joint's zero [rad]."""
+    usual = question.options.priors.zero
+    names = arm.terms[ZEROS].names if ZEROS in arm.terms else ()
+    is_odd = np.isin(names, question.odd_zeros)
+    return 1e-3 * np.where(is_odd, max(usual, usual_errors.WRONG_ZERO), usual)
 
 
 def scale_spread(arm: ArmTerms, options: EstimationOptions, loaded: bool) -> Array:

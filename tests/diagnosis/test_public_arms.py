@@ -18,9 +18,11 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
 )
 from robot_sysid.estimate.fit import solve
+from robot_sysid.estimate.quantities import link_estimates
 from robot_sysid.estimate.restricted_fit import errors_of, fit_file
 from robot_sysid.model.bodies import write_body
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Level
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
@@ -140,6 +142,45 @@ def test_a_forearm_with_a_quarter_of_its_mass_is_named_and_its_error_widens(trut
 def test_links_that_are_off_as_usual_are_not(truth):
     answer = judged(truth.robot, truth.log)
     assert answer.findings == () and answer.fit.question.odd_link is None
+
+
+@pytest.fixture(scope="module")
+def as_real():
+    """Return a right log of an arm whose links, scales and friction are as far off as real ones."""
+    robot = load_robot_model(MODELS / ARMS["ur5e"])
+    return draw_arm(robot, "real", False, 20.0, False, 1)
+
+
+def test_a_zero_that_centres_of_mass_hide_is_said_with_them_and_their_errors_hold_it(
+    as_real,
+):
+    """The forearm's centre is 20 mm off beside the shoulder's zero, ± 2 without this."""
+    shoulder = np.arange(as_real.robot.n_joints) == 1
+    log = replace(as_real.log, q=as_real.log.q + np.radians(3.0) * shoulder)
+    answer = judged(as_real.robot, log)
+    (found,) = answer.findings
+    assert (found.about, found.level) == (FaultName.ZERO, Level.SAYS)
+    assert "joint shoulder_lift reads" in found.text and "; or the" in found.text
+    assert answer.fit.question.odd_zeros == ("zero[shoulder_lift]",)
+    links = {
+        each.name: each for each in link_estimates(answer.fit, fit_file(answer.fit))
+    }
+    forearm = links["forearm_link"]
+    off = forearm.theta - as_real.arm.thetas[2]
+    errors = np.sqrt(np.diag(forearm.covariance))
+    assert np.all(np.abs(off[1:4]) < 3.0 * errors[1:4])
+    assert judged(as_real.robot, as_real.log).fit.question.odd_zeros == ()
+
+
+def test_torque_of_one_joint_that_is_late_is_named(as_real):
+    """Its viscous friction takes up most of it."""
+    time = as_real.log.time
+    tau = as_real.log.tau.copy()
+    tau[:, 1] = np.interp(time - 0.02, time, tau[:, 1])
+    (found,) = findings_of(as_real.robot, replace(as_real.log, tau=tau))
+    assert found.about is FaultName.DELAY
+    assert "torque of joint shoulder_lift is" in found.text and "later" in found.text
+    assert findings_of(as_real.robot, as_real.log) == ()
 
 
 @pytest.mark.parametrize("seed", [7, 8])

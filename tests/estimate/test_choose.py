@@ -31,6 +31,7 @@ from rigs.logs.payload_logs import (
     wide_motion,
 )
 from robot_sysid.estimate.choose import (
+    answer_of,
     dry_friction,
     link_evidence,
     motors_of,
@@ -50,6 +51,7 @@ from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.terms import LINKS, ArmTerms
+from robot_sysid.records.parameters import ZERO
 from robot_sysid.signals.process import TURN_TRAVELS
 
 ROBOT = four_joint_arm()
@@ -317,6 +319,16 @@ def test_the_mass_of_an_odd_link_has_an_error_as_large_as_itself():
         masses = np.array([arm.links[link].theta[0] for link in (0, 1)])
         own = np.array([0.05, 0.05 if odd is None else 1.0])
         assert_allclose(errors / masses, np.hypot(own, 0.05))
+
+
+def test_the_zero_of_a_joint_that_is_far_off_gets_a_prior_of_its_own(robot, noisy):
+    """A right log has no such zero."""
+    wrong = replace(noisy, q=noisy.q + [0.0, 0.2, 0.0])
+    for log, odd in ((noisy, ()), (wrong, (ZERO.key_of(robot.joint_names[1]),))):
+        answer = answer_of(fit_recordings(robot, filter_logs(robot, log)))
+        assert answer.question.odd_zeros == odd
+        for name in odd:
+            assert abs(answer.by_name[name] - 0.2) < 3.0 * answer.error_of(name)
 
 
 def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
