@@ -28,7 +28,8 @@ Per cause, logs are counted by what is said of them: by findings of ``log`` of a
 over two joints that the estimate finds, and remarks of the estimate:
 
 rightly     every fault has its right name (and that of the joint or body, where one is wrong, and
-            of no other joint)
+            of no other joint); of several, each in its turn, after following the advice of those
+            before
 doubt       no right name, or not of every fault: a finding lists several causes that fit equally
             well, or says that a part of the torque is not explained, or the verdict is against it
 misnamed    all findings have other names, the right one blames a second joint, or a command crashes
@@ -63,7 +64,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,10 @@ SURE_OF_MANY = 3.0
 """The same errors where one of several other links counts."""
 SURE_OF_ALL = 4.0
 """The same errors where one of all numbers counts, about fifty: a chance of 0.3 % by noise."""
+ZERO_TEXT = r"position of joint (\S+) reads ([\d.]+).* (rad|degrees) too (much|little)"
+"""What is said of a zero, which the user corrects."""
+MOST_TURNS = 3
+"""Times that advice is followed to find what is wrong beside."""
 SHOWN_TEXT = 110
 """Characters of a finding that are printed."""
 ALTERNATIVES = "; or "
@@ -134,6 +139,16 @@ class Finding:
         options = tuple(map(tuple, entry.get("options") or ()))
         correction = entry.get("correction")
         return cls(entry["about"], entry["level"], entry["text"], options, correction)
+
+    @property
+    def zero(self) -> tuple[str, float] | None:
+        """(Joint, by how much its position reads too much [rad]), where that is what is wrong."""
+        match = re.search(ZERO_TEXT, self.text)
+        if match is None:
+            return None
+        name, size, unit, way = match.groups()
+        radians = float(size) * (1.0 if unit == "rad" else np.radians(1.0))
+        return name, radians if way == "much" else -radians
 
     def corrected(self, log: Recording) -> Recording:
         """Return a log with its columns put right, as the finding says."""
@@ -229,6 +244,7 @@ class Outcome:
         advised: answers after following the advice of findings that stop the log.
         culprit: name of the joint or body that is wrong; "" where none is alone.
         innocents: names of the other joints, where one joint is wrong.
+        later: findings after following the advice of these.
     """
 
     findings: tuple[Finding, ...]
@@ -237,6 +253,7 @@ class Outcome:
     advised: tuple[Answer, ...] = ()
     culprit: str = ""
     innocents: tuple[str, ...] = ()
+    later: tuple[Finding, ...] = ()
 
     @property
     def is_stopped(self) -> bool:
@@ -268,7 +285,7 @@ class Outcome:
         texts = [f.text for f in self.findings]
         texts += () if self.answer is None else self.answer.remarks
         ties = [f for f in self.findings if ALTERNATIVES in f.text]
-        names = {f.about for f in self.findings if f not in ties}
+        names = {f.about for f in (*self.findings, *self.later) if f not in ties}
         if any(OTHER_ARM in text for text in texts):
             names.add("other arm")
         named = [not names.isdisjoint(fault) for fault in cause.faults]
@@ -347,9 +364,11 @@ class Judge:
             write_log(path, self.joint_names, log)
         return paths
 
-    def find(self, path: Path) -> Iterator[Finding]:
+    def find(self, path: Path, *options: str) -> Iterator[Finding]:
         """Yield the findings of the command ``log`` on a log."""
-        code, output, messages = run_command("log", path, self.model, "--json")
+        code, output, messages = run_command(
+            "log", path, self.model, "--json", *options
+        )
         content = json.loads(output) if output.startswith("{") else {}
         entries = content.get("findings", ())
         yield from map(Finding.of_entry, entries)
@@ -358,6 +377,30 @@ class Judge:
         elif code and not entries:
             error = [line for line in messages.splitlines() if "error:" in line]
             yield Finding("error", "refuses", "".join(error[:1]) or messages)
+
+    def find_in_turn(self, findings: Sequence[Finding]) -> Iterator[Finding]:
+        """Yield what is found after following the advice of findings, one after the other."""
+        logs = self.scene.logs
+        options: tuple[str, ...] = ()
+        for _ in range(MOST_TURNS):
+            usable = (f for f in findings if f.options or f.correction or f.zero)
+            first = next(usable, None)
+            if first is None:
+                return
+            logs = [self.with_zero(first, first.corrected(log)) for log in logs]
+            # Where there are several ways, the last one changes the log.
+            options += first.options[-1] if first.options else ()
+            paths = self.write_logs(logs)
+            findings = [f for path in paths for f in self.find(path, *options)]
+            yield from findings
+
+    def with_zero(self, finding: Finding, log: Recording) -> Recording:
+        """Return a log with a joint's zero put right, as the finding says."""
+        if finding.zero is None:
+            return log
+        name, size = finding.zero
+        is_joint = np.array([name == other for other in self.joint_names])
+        return replace(log, q=log.q - size * is_joint)
 
     def identify(self, paths: Sequence[Path], *options: str) -> Answer:
         """Return the answer of ``identify``; one that fails is not trusted."""
@@ -419,8 +462,11 @@ class Judge:
             yield self.identify(paths, *options)
 
 
-def check_scene(scene: Scene, is_answered: bool) -> Outcome:
-    """Return what the commands say of a scene's log, and where no finding stops it, its answer."""
+def check_scene(scene: Scene, is_answered: bool, has_turns: bool = False) -> Outcome:
+    """Return what the commands say of a scene's log, and where no finding stops it, its answer.
+
+    Where it ``has_turns``, advice is followed to find what is wrong beside.
+    """
     with tempfile.TemporaryDirectory() as folder:
         judge = Judge(scene, Path(folder))
         paths = judge.write_logs(scene.logs)
@@ -434,11 +480,13 @@ def check_scene(scene: Scene, is_answered: bool) -> Outcome:
         elif is_answered:
             answer = judge.identify(paths)
             seconds = time.process_time() - start
+        later = tuple(judge.find_in_turn(findings)) if has_turns else ()
     # The estimate names these itself, for it knows on which side of the gears sensors are.
     for name in () if answer is None else answer.motors:
         findings.append(Finding("coupling", "says", f"a motor turns with {name}"))
     found = tuple(findings)
-    return Outcome(found, seconds, answer, advised, scene.culprit, judge.innocents)
+    innocents = judge.innocents
+    return Outcome(found, seconds, answer, advised, scene.culprit, innocents, later)
 
 
 @dataclass(frozen=True)
@@ -470,7 +518,7 @@ class Case:
         cause = CAUSES[self.cause]
         duration = cause.duration or self.duration
         scene = draw_scene(path, self.arm_name, self.deviation, duration, self.seed)
-        return check_scene(cause.spoil(scene), is_answered)
+        return check_scene(cause.spoil(scene), is_answered, len(cause.faults) > 1)
 
     def is_failure(self, outcome: Outcome) -> bool:
         """Return whether the cause is not named as it should be, or the answer is harmful."""

@@ -66,8 +66,9 @@ this arm, its columns. All others need the arm's model to be right. Where two ar
 less is wrong first, and what needs more may be its consequence."""
 LEAST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
-LEAST_ROWS = 40
-"""Independent samples of a joint that are needed for ten parameters and the joint's friction."""
+LEAST_ROWS = 26
+"""Independent samples of a joint that are needed: two for each of the last link's ten parameters
+and the joint's friction. What they do not show keeps the model's numbers, and its ± are as wide."""
 
 
 @dataclass(frozen=True)

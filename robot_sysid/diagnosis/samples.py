@@ -41,9 +41,11 @@ UNEVEN_SPEED = (1.25, 1.5)
 STANDING_SPEED = 0.3
 """Speed of a step, over that of its neighbours, below which it repeats a position."""
 FEW = 0.003
-"""Share of steps above which a finding is made."""
+"""Share of steps above which a finding is made: right logs with stamps of their samples have none,
+logs with one stale sample in a hundred 0.0074 to 0.0086."""
 MUCH = 0.02
-"""Share of steps with lost samples from which on a log is refused."""
+"""Share of steps with lost samples from which on a log is refused; where a tenth of the samples are
+lost it is 0.09."""
 UNEVEN_STAMPS = 0.02
 """Typical deviation of a step's duration above which stamps are those of a slow computer: a lower
 cut-off makes up for them."""
@@ -72,14 +74,18 @@ step says little of the clock."""
 NEAR_END = 0.02
 """Distance from an end of a channel's range that is near it, as a share of the range."""
 SATURATED = 0.005
-"""Share of samples at one value, the end of the range, above which a sensor saturates."""
+"""Share of samples at one value, the end of the range, above which a sensor saturates: right logs
+have 0.002 at most, where torque is read in steps of 0.1 N m, and sensors that saturate 0.1 to 0.2.
+"""
 NEAR_ZERO = 0.02
 """Torque that is next to none, as a share of the joint's largest."""
 MOST_TOUCHES = 5
-"""Times that a joint's torque comes down to none and is on the same side afterwards, by chance."""
+"""Times that a joint's torque comes down to none and is on the same side afterwards, by chance: in
+220 right logs of seven arms once at most, of sizes of currents 23 to 157 times."""
 WITH_MOTION = 0.98
 """Share of samples in which a torque has the sign of the motion that weight does not let it have:
-right logs have it in 0.85 of them at one of the joints at most, by friction."""
+at one at least of the joints that carry weight, 220 right logs of seven arms have it in 0.68 of
+them at most. Arms with more friction than weight have it in all."""
 LEAST_SPEED = 0.1
 """Speed of a joint from which on its direction is sure, as a share of its largest."""
 DIRECTION_TIME = 0.02
@@ -98,7 +104,8 @@ joint carries weight."""
 LEAST_TRAVEL = 0.01
 """Travel below which a joint does not move [rad or m]."""
 AT_END_OVER_NEAR = 4.0
-"""Samples at the end of the range over those near it that chance does not make."""
+"""Samples at the end of the range over those near it that chance does not make; sensors that
+saturate make 6 to 12."""
 
 
 def clock_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
