@@ -211,12 +211,15 @@ def search_or_corrected(
     # A log that one joint's factor explains needs no search for columns, unless another time reads
     # better as well: it makes other inertias, of which a joint without weight has nothing else.
     is_factor = search.explains and named == {FaultName.TORQUE_SCALE}
-    if not is_factor or columns.gain_of(time_bases(columns.arm.robot)) > CLEAR:
+    if is_factor:
+        is_factor = columns.gain_of(time_bases(columns.arm.robot)) < CLEAR
+    # Nor does one whose torques are in another unit, and fits in the right one.
+    is_unit = is_foreign(scales.fitted)
+    if not is_factor and not (is_unit and any(fits(each.fit) for each in tried)):
         tried += column_correction(columns, evidence)
     likely = [each for each in tried if is_likely(each, scales.fitted)]
     best = sorted(likely, key=lambda each: -each.gain)
     # Whatever explains torques in another unit, they are not right as they are.
-    is_unit = is_foreign(scales.fitted)
     searches = [search_faults(each, evidence, scales) for each in best[:1]]
     searches.append(search)
     return max(searches, key=lambda each: (each.explains, is_unit or each.gain))
