@@ -35,7 +35,7 @@ from robot_sysid.diagnosis.plausibility import (
     is_plausible,
     is_sibling,
 )
-from robot_sysid.diagnosis.scales import ScaleCorrections, odd_unit
+from robot_sysid.diagnosis.scales import ScaleCorrections, TorqueScales, odd_unit
 from robot_sysid.diagnosis.scores import Score
 from robot_sysid.diagnosis.search import OF_SCALES, Search, name_faults, search_faults
 from robot_sysid.estimate.contacts import LITTLE
@@ -68,9 +68,9 @@ OF_LINKS = (
 """Faults that an experiment on single joints says nothing of."""
 CLEARLY_LESS = 0.7
 """What a correction leaves unexplained, over what is without it, below which it leaves less."""
-MOST = 0.5
-"""The same of one joint's factor beside nothing else: of factors from 0.5 to 2 it is at most 0.1,
-of a ripple in the joint's torque 0.7."""
+STEADY = 0.1
+"""Relative error of one joint's factor below which blocks of a log agree on it: with factors of 0.5
+to 2 it is 0.03 to 0.06, also beside a contact, of a ripple in the joint's torque 0.14."""
 MOST_NAMED = 3
 """Faults that are named: of more that act together, the others are small."""
 
@@ -164,7 +164,7 @@ def search_or_single(
     tried = [*sign_correction(columns, evidence)]
     if not any(fits(each.fit) for each in tried):
         alone = scales.alone
-        if alone is not None and (is_fitting or explains_most(alone, fitted)):
+        if alone is not None and (is_fitting or is_steady(scales.scales)):
             tried.append(alone)
         if search.winners or not is_fitting or scales.scales.is_odd:
             turned = zero_correction(columns, evidence)
@@ -191,11 +191,11 @@ def search_or_single(
     return search
 
 
-def explains_most(alone: Correction, fitted: Fit) -> bool:
-    """Return whether a factor of one joint leaves less than half of what a log that does not fit
-    leaves: links and the factor take up a part of whatever is wrong at the joint.
+def is_steady(scales: TorqueScales) -> bool:
+    """Return whether one joint's factor is the same all over a log, which need not fit: links and
+    the factor take up a part of whatever is wrong at the joint.
     """
-    return alone.fit.unexplained_share < MOST * fitted.unexplained_share
+    return scales.alone is not None and scales.alone[2] < STEADY
 
 
 def search_or_corrected(
