@@ -30,11 +30,16 @@ from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
-from robot_sysid.estimate.choose import answer_of, odd_link, solve_question
+from robot_sysid.estimate.choose import (
+    answer_of,
+    has_odd_link_alone,
+    odd_link,
+    solve_question,
+)
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.questions import PER_CENT
-from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
@@ -145,7 +150,7 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
     is_odd &= scales.common.fit.unexplained_share < UNEXPLAINED
     common = scales.common.findings if is_odd else ()
-    if wrong and common:
+    if wrong and common and not has_odd_link_alone(current):
         yield from map(either, wrong, common)
     elif wrong:
         yield from wrong
@@ -304,11 +309,15 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
     Nothing may write such a model, whatever else is said of its log.
     """
     arm = fitted.arm
-    # One link may be wrong in the model.
-    links = [link for link in arm.others if link != fitted.question.odd_link]
-    masses = {link: arm.model[arm.links[link][0]] for link in links}
-    found = {link: fitted.by_name[arm.links[link][0]] for link in links}
+    masses = {link: arm.model[arm.links[link][0]] for link in arm.others}
+    # A scale that all torques share takes up weight that is lost, in place of masses.
+    scales = [fitted.by_name.get(name, 0.0) for name in arm.terms[SCALES].names]
+    left = 1.0 + float(np.mean(scales))
+    found = {link: left * fitted.by_name[arm.links[link][0]] for link in arm.others}
     lost = [link for link, mass in masses.items() if found[link] < LOST * mass]
+    # One link alone may be wrong in the model.
+    if lost == [fitted.question.odd_link]:
+        return
     share = sum(masses[link] for link in lost) / max(sum(masses.values()), 1e-300)
     if share > MOST_LINKS:
         link = max(lost, key=lambda each: masses[each])

@@ -21,6 +21,7 @@ from robot_sysid.estimate.fit import solve
 from robot_sysid.estimate.restricted_fit import errors_of, fit_file
 from robot_sysid.model.bodies import write_body
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Level
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
@@ -135,6 +136,33 @@ def test_a_forearm_with_a_quarter_of_its_mass_is_named_and_its_error_widens(trut
     key = f"m({name})"
     error = answer.fit.error_of(key)
     assert abs(answer.fit.by_name[key] - truth.arm.thetas[forearm, 0]) < 3.0 * error
+
+
+def test_a_forearm_ten_times_too_heavy_is_no_factor_alone_and_its_mass_is_found(truth):
+    """Both explain the log; with the link's mass as not known, the answer is right."""
+    robot = truth.robot
+    forearm = robot.n_joints - 4
+    link = robot.links[forearm]
+    model = copy.copy(robot.mj_model)
+    write_body(model, link.body_id, 10.0 * link.theta)
+    answer = judged(load_robot_model(model), truth.log)
+    (found,) = answer.findings
+    assert found.about is FaultName.MODEL and found.level is not Level.REFUSES
+    assert f"contradicts the model's mass of {link.body_name}" in found.text
+    if found.options:
+        assert "; or the torques are" in found.text
+        assert [way[0] for way in found.options] == [
+            "--accept",
+            "--mass-scale",
+            "--torque-scale",
+        ]
+    masses = [
+        (answer.fit.by_name[key], answer.fit.error_of(key), truth.arm.thetas[k, 0])
+        for k, key in (
+            (k, f"m({robot.links[k].body_name})") for k in range(1, forearm + 1)
+        )
+    ]
+    assert all(abs(mass - true) < 3.0 * error for mass, error, true in masses)
 
 
 def test_links_that_are_off_as_usual_are_not(truth):
