@@ -30,12 +30,17 @@ from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
-from robot_sysid.estimate.choose import answer_of, solve_question
+from robot_sysid.estimate.choose import (
+    answer_of,
+    has_odd_link_alone,
+    odd_link,
+    solve_question,
+)
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import PER_CENT
-from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED
@@ -184,7 +189,7 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
     current = search.current
     answer = answer_of(current)
     zeros = [] if search.winners else [*odd_zeros(answer)]
-    wrong = [*wrong_mass(answer)]
+    wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
     # A fault that was found may explain them.
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
     # Scales follow whatever else is left over.
@@ -192,7 +197,7 @@ def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding
     common = scales.common.findings if is_odd else ()
     if zeros:
         yield from (*zeros, *wrong)
-    elif wrong and common:
+    elif wrong and common and not has_odd_link_alone(current):
         yield from map(either, wrong, common)
     elif wrong:
         yield from wrong
@@ -372,11 +377,15 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
     Nothing may write such a model, whatever else is said of its log.
     """
     arm = fitted.arm
-    # One link may be wrong in the model.
-    links = [link for link in arm.others if link != fitted.question.odd_link]
-    masses = {link: arm.model[arm.links[link][0]] for link in links}
-    found = {link: fitted.by_name[arm.links[link][0]] for link in links}
+    masses = {link: arm.model[arm.links[link][0]] for link in arm.others}
+    # A scale that all torques share takes up weight that is lost, in place of masses.
+    scales = [fitted.by_name.get(name, 0.0) for name in arm.terms[SCALES].names]
+    left = 1.0 + float(np.mean(scales))
+    found = {link: left * fitted.by_name[arm.links[link][0]] for link in arm.others}
     lost = [link for link, mass in masses.items() if found[link] < LOST * mass]
+    # One link alone may be wrong in the model.
+    if lost == [fitted.question.odd_link]:
+        return
     share = sum(masses[link] for link in lost) / max(sum(masses.values()), 1e-300)
     if share > MOST_LINKS:
         link = max(lost, key=lambda each: masses[each])

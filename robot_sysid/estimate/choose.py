@@ -28,6 +28,7 @@ from robot_sysid.estimate.links import (
     average_scales,
     common_error,
     common_scale,
+    is_odd_alone,
     link_directions,
     odd_number,
     reference_links,
@@ -46,7 +47,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.levels import CLEAR, SURE
+from robot_sysid.records.levels import CLEAR, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.parameters import ZERO
 from robot_sysid.signals.process import FilteredRecording
@@ -258,6 +259,12 @@ def odd_link(fitted: Fit) -> int | None:
     return None if number is None else fitted.arm.others[number]
 
 
+def has_odd_link_alone(fitted: Fit) -> bool:
+    """Return whether one link's mass explains clearly more than a factor on all torques."""
+    evidence = link_evidence(fitted)
+    return evidence is not None and is_odd_alone(evidence)
+
+
 def with_links_of(fitted: Fit, torque: Array, odd: int | None = None) -> Fit:
     """Return the fit with the priors of links that the data asks for, and with possible bodies.
 
@@ -271,7 +278,9 @@ def with_links_of(fitted: Fit, torque: Array, odd: int | None = None) -> Fit:
     if evidence is not None:
         stated = stated_kinds(fitted.arm.robot, fitted.arm.others, odd)
         evidence = replace(evidence, stated=stated)
-        if question.usual_offsets and question.asks_common_scale:
+        # A log that does not fit shows nothing of all masses.
+        is_shown = fitted.unexplained_share < UNEXPLAINED
+        if is_shown and question.usual_offsets and question.asks_common_scale:
             common = common_scale(evidence)
             question = replace(question, common_scale=common)
             evidence = evidence.with_common(common)

@@ -65,10 +65,13 @@ COMMON = 0.5
 
 ODD_AMONG_USUAL = 4.0
 """The same with the other links as far off as they usually are, which one mass that is far off does
-not hide: right logs of three arms gain 1.9 at most, a forearm ten times too heavy 6 to 8."""
-ODD_OVER_COMMON = 0.9
+not hide: right logs of five arms gain 1.9 at most, a forearm ten times too heavy 6.0 to 8.1."""
+ODD_OVER_COMMON = 0.5
 """Least difference to the gain of an error of all masses then: a forearm ten times too heavy has
-1.0 to 4.6; of 36 logs with a common factor of 0.4 to 2.7 one has 1.9, the others 0.9 or less."""
+0.7 to 5.6; of 52 logs with a common factor of 0.4 to 2.7 that gain as much one has 1.9, others 0.2.
+"""
+ODD_ALONE = 3.0
+"""The same difference from which on the mass alone is the cause, and no factor."""
 COMMON_SCALES = (0.1, 0.2, 0.4)
 """Errors that all torques may share, of which the evidence chooses, as shares."""
 SHOWN = 0.5
@@ -305,23 +308,46 @@ def common_scale(evidence: LinkEvidence) -> float:
 
 def odd_number(evidence: LinkEvidence) -> int | None:
     """Return which of the L links has a mass that is far more off than the others'; or None."""
-    before = _log_evidence(evidence)
-    odd = {
-        number: evidence.with_odd_mass(number)
+    if not np.any(evidence.stated[:, 0]):
+        return None
+    most, gain, over_common = _odd_among_usual(evidence)
+    if gain > ODD_AMONG_USUAL and over_common > ODD_OVER_COMMON:
+        return most
+    most, gain, over_common = _odd_of_any(evidence)
+    return most if min(gain, over_common) > ODD else None
+
+
+def is_odd_alone(evidence: LinkEvidence) -> bool:
+    """Return whether an odd mass explains clearly more than an error of all masses."""
+    _, gain, over_common = _odd_of_any(evidence)
+    _, _, over_common_as_usual = _odd_among_usual(evidence)
+    return min(gain, over_common) > ODD or over_common_as_usual > ODD_ALONE
+
+
+def _odd_among_usual(evidence: LinkEvidence) -> tuple[int, float, float]:
+    """Return (number of the likeliest odd link, its gain, that over an error of all masses).
+
+    The other links are as far off as they usually are, however far off they seem to be.
+    """
+    gains = {
+        number: evidence.with_odd_mass(number).log_likelihood(EXPECTED)
         for number in np.flatnonzero(evidence.stated[:, 0]).tolist()
     }
-    if not odd:
-        return None
-    # With the other links as usual, however far off they seem to be.
-    usual = {number: each.log_likelihood(EXPECTED) for number, each in odd.items()}
-    most = max(usual, key=lambda number: usual[number])
-    gain = usual[most] - evidence.log_likelihood(EXPECTED)
-    shared = evidence.with_common(COMMON).log_likelihood(EXPECTED)
-    if gain > ODD_AMONG_USUAL and usual[most] - shared > ODD_OVER_COMMON:
-        return most
-    gains = {number: _log_evidence(each) - before for number, each in odd.items()}
+    most = max(gains, key=lambda number: gains[number])
+    common = evidence.with_common(COMMON).log_likelihood(EXPECTED)
+    before = evidence.log_likelihood(EXPECTED)
+    return most, gains[most] - before, gains[most] - common
+
+
+def _odd_of_any(evidence: LinkEvidence) -> tuple[int, float, float]:
+    """Return the same with scales of the other links that the evidence gives."""
+    before = _log_evidence(evidence)
+    gains = {
+        number: _log_evidence(evidence.with_odd_mass(number)) - before
+        for number in np.flatnonzero(evidence.stated[:, 0]).tolist()
+    }
     most = max(gains, key=lambda number: gains[number])
     if gains[most] <= ODD:
-        return None
+        return most, gains[most], 0.0
     common = _log_evidence(replace(evidence, common=COMMON)) - before
-    return most if gains[most] - max(common, 0.0) > ODD else None
+    return most, gains[most], gains[most] - max(common, 0.0)

@@ -139,6 +139,33 @@ def test_a_forearm_with_a_quarter_of_its_mass_is_named_and_its_error_widens(trut
     assert abs(answer.fit.by_name[key] - truth.arm.thetas[forearm, 0]) < 3.0 * error
 
 
+def test_a_forearm_ten_times_too_heavy_is_no_factor_alone_and_its_mass_is_found(truth):
+    """Both explain the log; with the link's mass as not known, the answer is right."""
+    robot = truth.robot
+    forearm = robot.n_joints - 4
+    link = robot.links[forearm]
+    model = copy.copy(robot.mj_model)
+    write_body(model, link.body_id, 10.0 * link.theta)
+    answer = judged(load_robot_model(model), truth.log)
+    (found,) = answer.findings
+    assert found.about is FaultName.MODEL and found.level is not Level.REFUSES
+    assert f"contradicts the model's mass of {link.body_name}" in found.text
+    if found.options:
+        assert "; or the torques are" in found.text
+        assert [way[0] for way in found.options] == [
+            "--accept",
+            "--mass-scale",
+            "--torque-scale",
+        ]
+    masses = [
+        (answer.fit.by_name[key], answer.fit.error_of(key), truth.arm.thetas[k, 0])
+        for k, key in (
+            (k, f"m({robot.links[k].body_name})") for k in range(1, forearm + 1)
+        )
+    ]
+    assert all(abs(mass - true) < 3.0 * error for mass, error, true in masses)
+
+
 def test_links_that_are_off_as_usual_are_not(truth):
     answer = judged(truth.robot, truth.log)
     assert answer.findings == () and answer.fit.question.odd_link is None

@@ -42,6 +42,7 @@ from robot_sysid.estimate.links import (
     LinkEvidence,
     LinkScales,
     average_scales,
+    common_scale,
     deviations,
     link_directions,
     link_factor,
@@ -296,6 +297,15 @@ def off_by(size, seed=0):
     return replace(evidence, share=share, gradient=gradient)
 
 
+def all_off_by(size, seed=0):
+    """Return the evidence of links as usual, all masses off by a size."""
+    evidence = off_by(0.0, seed)
+    common = np.zeros(42)
+    common[40] = size
+    gradient = evidence.gradient + evidence.curvature @ common
+    return replace(evidence, gradient=gradient)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_one_mass_that_is_far_more_off_than_others_is_found(seed):
     assert odd_number(off_by(0.0, seed)) is None
@@ -304,11 +314,27 @@ def test_one_mass_that_is_far_more_off_than_others_is_found(seed):
 
 
 def test_an_error_that_all_masses_share_is_none_of_one_link():
-    evidence = off_by(0.0)
-    common = np.zeros(42)
-    common[40] = 0.5
-    gradient = evidence.gradient + evidence.curvature @ common
-    assert odd_number(replace(evidence, gradient=gradient)) is None
+    assert odd_number(all_off_by(0.5)) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_mass_is_found_by_links_as_usual_where_all_seem_far_off(seed):
+    """Scales that all links share may hold it: its error is as large as itself, and no larger."""
+    evidence = off_by(-0.9, seed)
+    assert average_scales(evidence).mass > average_scales(off_by(0.0, seed)).mass
+    assert odd_number(evidence) == 2
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("size", [-0.4, 0.5])
+def test_all_torques_are_as_unsure_as_an_error_that_all_masses_share(seed, size):
+    assert common_scale(off_by(0.0, seed)) == 0.0
+    assert common_scale(all_off_by(size, seed)) > 0.15
+
+
+def test_what_is_stated_of_all_masses_is_no_error_of_torques():
+    evidence = all_off_by(-0.4)
+    assert common_scale(evidence.with_common(0.4)) == 0.0
 
 
 def test_the_mass_of_an_odd_link_has_an_error_as_large_as_itself():
