@@ -26,7 +26,7 @@ from robot_sysid.diagnosis.plausibility import (
     typical_ratio,
     typical_torque,
 )
-from robot_sysid.diagnosis.scales import ScaleCorrections, torque_scales
+from robot_sysid.diagnosis.scales import ScaleCorrections, little_weight, torque_scales
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
@@ -362,13 +362,7 @@ def weight_findings(fitted: Fit) -> Iterator[Finding]:
     share = regression(fitted, int(np.argmax(torque))).get(WEIGHT, 1.0)
     is_small = fitted.arm.has_gravity and typical_ratio(fitted) < SMALLER
     if is_small and abs(share) < NO_WEIGHT:
-        yield Finding(
-            Level.REFUSES,
-            FaultName.GRAVITY,
-            "the torque has little of the links' weight: it may be external torque, left after a "
-            "controller's model, or motor current",
-            f"{MEASURED}, or give {option_name('torque_constants')} for a current",
-        )
+        yield little_weight()
 
 
 def lost_links(fitted: Fit) -> Iterator[Finding]:

@@ -98,6 +98,9 @@ SHOWN_WEIGHT = 0.5
 """What adds to a torque in one direction and takes away from it in the other, as a share of the
 model's weight, and of the torque, from which on it is weight: without a sign there is a fifth at
 most, by friction."""
+LEAST_CHANGE = 0.1
+"""Deviation of a joint's weight over its mean from which on a torque is seen to grow with it: with
+0.16 or more, external torque grows by 0.1 to 0.5 of its mean, torque of weight by 0.7 to 1.3."""
 LEAST_WEIGHT = 0.25
 """Torque of the model's weight, as a share of that of the joint that carries most, above which a
 joint carries weight."""
@@ -310,7 +313,7 @@ def motion_sign_findings(
     Friction has it, and weight has not: it pulls one way while a joint moves up and down. So does
     the torque of a joint that carries weight, unless friction is larger everywhere. Then it is
     larger by the weight in one direction and smaller by it in the other; a torque without a sign is
-    as large in both.
+    as large in both, and grows with the weight, which friction alone does not (external torque).
     """
     if any(piece.command is not None for piece in pieces):
         return
@@ -364,9 +367,15 @@ def _has_sign_of_motion(way: Array, tau: Array, weight: Array) -> bool:
     own = weight[is_clear]
     # What weight adds in one direction and takes away in the other, beside what is alike in both.
     columns = np.stack((np.abs(own), own * direction, np.ones_like(own)), axis=1)
-    _, signed, _ = np.linalg.lstsq(columns, along, rcond=None)[0]
+    alike, signed, _ = np.linalg.lstsq(columns, along, rcond=None)[0]
     usual = float(np.mean(along)) / max(float(np.mean(np.abs(own))), 1e-300)
-    return abs(float(signed)) < SHOWN_WEIGHT * min(usual, 1.0)
+    # Friction alone, as of external torque, has that sign, too. Where weight hardly changes, only
+    # the size tells it from that.
+    changes = np.std(np.abs(own)) > LEAST_CHANGE * np.mean(np.abs(own))
+    of_weight = float(alike) / usual if changes else usual
+    return of_weight > SHOWN_WEIGHT and abs(float(signed)) < SHOWN_WEIGHT * min(
+        usual, 1.0
+    )
 
 
 def check_recording(

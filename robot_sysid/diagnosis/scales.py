@@ -422,6 +422,9 @@ def common_finding(
 
     Where there may be an arm with all masses so many times as large, the user decides.
     """
+    is_far = abs(np.log(factor)) > np.log(MOST_MASSES)
+    if factor < 1.0 and is_far and relative_error > VAGUE:
+        return little_weight()
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
     unit = min(UNITS, key=lambda size: abs(np.log(factor / size)))
@@ -439,7 +442,7 @@ def common_finding(
     command = ""
     if mass_unit(robot, factor) != 1.0:
         remedy = f"they are in another unit{unit_text}: divide them"
-    elif not is_close and abs(np.log(factor)) > np.log(MOST_MASSES):
+    elif not is_close and is_far:
         text += ": they may be motor currents"
         remedy = with_option_names(WEIGHING)
         command = "payload"
@@ -460,6 +463,21 @@ def common_finding(
     is_common = name is FaultName.TORQUE_SCALE
     return Finding(
         Level.REFUSES, name, text, remedy, options, command, is_common_factor=is_common
+    )
+
+
+def little_weight() -> Finding:
+    """Return the finding that torques are small and have little of the links' weight, if any.
+
+    A factor that is as uncertain as it is large is not known from none.
+    """
+    return Finding(
+        Level.REFUSES,
+        FaultName.GRAVITY,
+        "the torque has little of the links' weight: it may be external torque, left after a "
+        "controller's model, or motor current",
+        f"record the measured joint torque, or give {option_name('torque_constants')} for a "
+        "current",
     )
 
 
