@@ -52,6 +52,10 @@ from robot_sysid.records.messages import Progress
 from robot_sysid.records.parameters import ZERO
 from robot_sysid.signals.process import FilteredRecording
 
+MOST_OF_ZERO = SURE * 1e-3 * usual_errors.WRONG_ZERO
+"""Zero from which on it stands for something else: one that is really so far off leaves torque that
+centres of mass do not take up. In a published log two of 16 and 24 degrees stood for links [rad].
+"""
 ODD_ZERO = 2.5
 """Least gain in the log evidence at which a joint's zero is taken to be far more off than usual, as
 for a link's mass (``links.ODD``): right logs gain 0.5 at most, 3 degrees at a shoulder, of which
@@ -206,11 +210,12 @@ def answer_of(fitted: Fit) -> Fit:
     question = replace(
         fitted.question, usual_offsets=True, link_scales=AS_STATED, common_scale=0.0
     )
-    answer = answer_to(fitted, question)
+    plain = answer = answer_to(fitted, question)
     while (zero := odd_zero(answer)) is not None:
         question = replace(question, odd_zeros=(*question.odd_zeros, zero))
         answer = answer_to(fitted, question)
-    return answer
+    off = [abs(answer.by_name[zero]) for zero in question.odd_zeros]
+    return plain if max(off, default=0.0) > MOST_OF_ZERO else answer
 
 
 def answer_to(fitted: Fit, question: Question) -> Fit:
@@ -226,12 +231,15 @@ def odd_zero(fitted: Fit) -> str | None:
 
     Centres of mass of the links that a joint carries take up most of a wrong zero, so that no
     torque is left that would name it; held at the usual zero, they are many of their errors off. A
-    tilt of the base is the simpler cause where it explains as much.
+    tilt of the base is the simpler cause where it explains as much. A log that does not fit shows
+    nothing of that.
     """
     question = fitted.question
     is_compared = question.changed is not None or question.differing is not None
     spans = [s for t, s in fitted.equations.spans if t.cause == ZEROS]
     if question.loaded or is_compared or not spans or not fitted.arm.others:
+        return None
+    if fitted.unexplained_share > UNEXPLAINED:
         return None
     offers = Offers(fitted)
     size = 1e-3 * np.array([[usual_errors.WRONG_ZERO]])
