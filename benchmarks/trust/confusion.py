@@ -30,7 +30,8 @@ over two joints that the estimate finds, and remarks of the estimate:
 rightly     every fault has its right name (and that of the joint or body, where one is wrong, and
             of no other joint); of several, each in its turn, after following the advice of those
             before
-doubt       no right name, or not of every fault: a finding lists several causes that fit equally
+            It may be the first of a pair that the log cannot tell apart, with what tells them apart
+doubt       no right name, or not of every fault: a finding lists more causes that fit equally
             well, or says that a part of the torque is not explained, or the verdict is against it
 misnamed    all findings have other names, the right one blames a second joint, or a command crashes
 silent      nothing is said; at the end, too, how often that did no harm: the answer is no use, or
@@ -284,7 +285,7 @@ class Outcome:
         """Return how the cause is named, see the module."""
         texts = [f.text for f in self.findings]
         texts += () if self.answer is None else self.answer.remarks
-        ties = [f for f in self.findings if ALTERNATIVES in f.text]
+        ties = [f for f in self.findings if f.text.count(ALTERNATIVES) > 1]
         names = {f.about for f in (*self.findings, *self.later) if f not in ties}
         if any(OTHER_ARM in text for text in texts):
             names.add("other arm")

@@ -271,7 +271,8 @@ def odd_zeros(answer: Fit) -> Iterator[Finding]:
 def wrong_mass(answer: Fit) -> Iterator[Finding]:
     """Yield the finding that the log contradicts the mass of one link of the model by far.
 
-    It has to be farther off than a link of a right model may be.
+    It has to be farther off than a link of a right model may be, and to be seen: no link has no
+    mass, so that something else has taken it up (a gear's ripple).
     """
     number = answer.question.odd_link
     if number is None:
@@ -282,7 +283,8 @@ def wrong_mass(answer: Fit) -> Iterator[Finding]:
     mass = answer.by_name[name]
     error = answer.error_of(name)
     expected = float(link.theta[0])
-    if abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
+    is_seen = mass > INTERVAL * error
+    if is_seen and abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
         yield Finding(
             Level.SAYS,
             FaultName.MODEL,
