@@ -424,7 +424,12 @@ class Judge:
         )
 
     def worst_number(self, content: dict[str, Any]) -> tuple[str, float]:
-        """Return the quantity that is most of its stated errors off, and how many of them."""
+        """Return the quantity that is most of its stated errors off, and how many of them.
+
+        A model with other names has none that can be compared.
+        """
+        if self.joint_names != self.scene.robot.joint_names:
+            return "", 0.0
         ratios = [
             (quantity, abs(off) / stated)
             for quantity, off, stated, _ in errors_of(

@@ -370,18 +370,20 @@ def weight_findings(fitted: Fit) -> Iterator[Finding]:
 def lost_links(fitted: Fit) -> Iterator[Finding]:
     """Yield the finding that the links before the last have lost most of their mass in a result.
 
-    Nothing may write such a model, whatever else is said of its log.
+    Nothing may write such a model, whatever else is said of its log. One link alone may be wrong in
+    the model, and does not count.
     """
     arm = fitted.arm
-    masses = {link: arm.model[arm.links[link][0]] for link in arm.others}
-    # A scale that all torques share takes up weight that is lost, in place of masses.
-    scales = [fitted.by_name.get(name, 0.0) for name in arm.terms[SCALES].names]
-    left = 1.0 + float(np.mean(scales))
-    found = {link: left * fitted.by_name[arm.links[link][0]] for link in arm.others}
+    question = fitted.question
+    links = [link for link in arm.others if link != question.odd_link]
+    masses = {link: arm.model[arm.links[link][0]] for link in links}
+    left = 1.0
+    if question.common_scale:
+        # What all torques share takes up weight that is lost, in place of masses.
+        scales = [fitted.by_name.get(name, 0.0) for name in arm.terms[SCALES].names]
+        left += float(np.mean(scales))
+    found = {link: left * fitted.by_name[arm.links[link][0]] for link in links}
     lost = [link for link, mass in masses.items() if found[link] < LOST * mass]
-    # One link alone may be wrong in the model.
-    if lost == [fitted.question.odd_link]:
-        return
     share = sum(masses[link] for link in lost) / max(sum(masses.values()), 1e-300)
     if share > MOST_LINKS:
         link = max(lost, key=lambda each: masses[each])
