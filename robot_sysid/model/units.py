@@ -46,7 +46,8 @@ def with_mass_scale(robot: RobotModel, factor: float, error: float = 0.0) -> Rob
 
     ``error``: by which share it may be off.
     """
-    robot = replace(robot, mass_error=float(np.hypot(robot.mass_error, error)))
+    if error:
+        robot = replace(robot, mass_error=float(np.hypot(robot.mass_error, error)))
     if factor == 1.0:
         return robot
     mj_model = copy.copy(robot.mj_model)
