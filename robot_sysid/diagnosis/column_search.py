@@ -410,7 +410,10 @@ def column_findings(
             if name == robot.joint_names[0] and robot.gravity is not None:
                 # About an upright axis, a base that is turned is the same.
                 remedy += f", or the direction of {option_name('gravity')}"
-            yield Finding(Level.REFUSES, FaultName.ZERO, text, remedy)
+            # A smaller one is an encoder's offset, as a row of the faults of torque has it.
+            is_turned = np.radians(size) >= ZERO_STEP
+            level = Level.REFUSES if is_turned else Level.DOUBTS
+            yield Finding(level, FaultName.ZERO, text, remedy)
 
 
 def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:
