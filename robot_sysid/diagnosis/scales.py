@@ -445,6 +445,8 @@ def common_finding(
     elif not is_close and is_far:
         text += ": they may be motor currents"
         remedy = with_option_names(WEIGHING)
+        # The known mass says how far off each joint's is.
+        options = (torque_scale(factor * evidence.divided),)
         command = "payload"
     else:
         name = FaultName.TORQUE_SCALE

@@ -21,7 +21,7 @@ from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import InputError
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Recording
-from robot_sysid.records.option_fields import parse_factors, write_torque_scale
+from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.spatial import theta_from_com
 
 ARM = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
@@ -242,7 +242,7 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
         assert "motor currents" in message
         before, scale, after = re.split(r"(?<=--torque-scale )(\S+)", remedy)
         remedies.add((before, after))
-        scales.append(parse_factors(scale).values)
+        scales.append(float(scale))
     # A payload's scale is that of both of its logs.
     assert len(remedies) == 1
     assert scales == pytest.approx(scales[:1] * 3, rel=0.05)
