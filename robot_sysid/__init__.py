@@ -67,6 +67,7 @@ _NAMES = {
     ),
     "records.limits": ("Limits",),
     "records.messages": ("Level", "Remark"),
+    "records.option_fields": ("RoughFactors",),
     "records.quantities": ("BodyEstimate", "FrictionCurve", "Quantity"),
     "results.record": ("CurvedFile", "ModelFile", "Payload"),
     "results.verdicts": ("Verdict",),

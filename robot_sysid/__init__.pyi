@@ -47,6 +47,7 @@ from robot_sysid.records.data import Validation as Validation
 from robot_sysid.records.limits import Limits as Limits
 from robot_sysid.records.messages import Level as Level
 from robot_sysid.records.messages import Remark as Remark
+from robot_sysid.records.option_fields import RoughFactors as RoughFactors
 from robot_sysid.records.quantities import BodyEstimate as BodyEstimate
 from robot_sysid.records.quantities import FrictionCurve as FrictionCurve
 from robot_sysid.records.quantities import Quantity as Quantity

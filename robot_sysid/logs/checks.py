@@ -351,6 +351,8 @@ def without_repeats(
     if not np.any(is_same) or np.any(np.diff(time) <= 0.0):
         return rows, []
     samples = np.flatnonzero(~np.append(False, is_same))
+    if len(samples) == 1:  # the arm is at rest throughout
+        return rows, []
     step = np.diff(time[samples])
     is_usual = step < GAP_STEPS * np.median(step)
     # Behind the last sample nothing says when the next one came.
