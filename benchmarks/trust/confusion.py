@@ -285,7 +285,12 @@ class Outcome:
         """Return how the cause is named, see the module."""
         texts = [f.text for f in self.findings]
         texts += () if self.answer is None else self.answer.remarks
-        ties = [f for f in self.findings if f.text.count(ALTERNATIVES) > 1]
+        right = {name for fault in cause.faults for name in fault}
+        ties = [
+            f
+            for f in self.findings
+            if f.text.count(ALTERNATIVES) > (1 if f.about in right else 0)
+        ]
         names = {f.about for f in (*self.findings, *self.later) if f not in ties}
         if any(OTHER_ARM in text for text in texts):
             names.add("other arm")

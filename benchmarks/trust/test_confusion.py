@@ -13,8 +13,20 @@ from rigs.arms.wrong_arms import ARMS
 from rigs.files.places import MODELS
 from robot_sysid.parser import load_robot_model
 
-UNNAMED: dict[str, str] = {}
-"""Mistakes that are not named on this arm, to why that is so."""
+WRIST = "silent", "rotor and friction are all that the joint's torque is of"
+PLAY = "silent", "no number is off by more than two of its errors"
+UNNAMED = {
+    "all_times_0_7": ("silent", "the links make up for it"),
+    "all_times_1_4": ("doubt", "one link's mass explains it as well"),
+    "all_times_1_25": ("doubt", "one link's mass explains it as well"),
+    "last_signs": ("silent", "the last link and its tool are nearly round"),
+    "wrist_times_0_7": WRIST,
+    "last_times_1_5": WRIST,
+    "backlash": PLAY,
+    "base_backlash": PLAY,
+    "wrist_backlash": PLAY,
+}
+"""Mistakes that are not named on this arm, to what is said and why that is so."""
 DURATION = 20.0
 """Of a log that has to be named [s]."""
 
@@ -45,7 +57,8 @@ def test_a_mistake_is_named_and_makes_no_trusted_answer_wrong(name):
     scene = draw_scene(MODELS / ARMS["ur5e"], "ur5e", "real", duration, 1)
     outcome = check_scene(cause.spoil(scene), is_answered=True)
     assert "harmful" not in [*outcome.classify_costs()], outcome
-    expected = "rightly" if cause.faults and name not in UNNAMED else "silent"
+    usual = "rightly" if cause.faults else "silent", ""
+    expected, _ = UNNAMED.get(name, usual)
     assert outcome.classify_naming(cause) == expected, outcome
 
 
