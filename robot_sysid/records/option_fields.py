@@ -508,7 +508,7 @@ def _rough_factors(text: str) -> RoughFactors | None:
     error = parse_numbers(form[2])
     if isinstance(error, tuple):
         raise InputError(f"{text!r} has more than one error; all numbers share one")
-    return RoughFactors(parse_numbers(form[1]), 0.01 * error)
+    return RoughFactors(parse_numbers(form[1]), error / 100.0)
 
 
 def parse_factors(text: str) -> Factors:

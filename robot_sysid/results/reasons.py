@@ -244,7 +244,7 @@ def poor_elsewhere(errors: Elsewhere) -> Iterator[str]:
         yield f"on other motions about {percent(share)} of the torque is expected to be wrong"
 
 
-def accepted_doubts(doubts: Sequence[Remark]) -> Iterator[str]:
+def in_spite_of_doubts(doubts: Sequence[Remark]) -> Iterator[str]:
     """Yield which doubts of logs were accepted."""
     names = dict.fromkeys(str(doubt.about) for doubt in doubts)
     if names:

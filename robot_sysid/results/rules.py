@@ -120,7 +120,7 @@ OF_OTHER_MOTIONS: tuple[Rule[Elsewhere], ...] = (
 """Rules on the errors to expect of the file to use on motions that nobody recorded."""
 
 OF_ACCEPTED: tuple[Rule[Sequence[Remark]], ...] = (
-    Rule(Verdict.ACCEPTED, reasons.accepted_doubts),
+    Rule(Verdict.ACCEPTED, reasons.in_spite_of_doubts),
 )
 """Rules on the doubts of logs that the user accepted. The user may know that one does no harm, a
 result does not: it is right only if that is so."""
