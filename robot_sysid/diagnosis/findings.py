@@ -8,6 +8,9 @@ does not fit: how much is unexplained, at which joints, and what is missing ther
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.column_search import (
     ColumnSearch,
@@ -38,6 +41,7 @@ from robot_sysid.diagnosis.plausibility import (
 from robot_sysid.diagnosis.scales import ScaleCorrections, TorqueScales, odd_unit
 from robot_sysid.diagnosis.scores import Score
 from robot_sysid.diagnosis.search import OF_SCALES, Search, name_faults, search_faults
+from robot_sysid.estimate.choose import answer_of
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.records.fault_names import FaultName
@@ -75,10 +79,23 @@ MOST_NAMED = 3
 """Faults that are named: of more that act together, the others are small."""
 
 
-def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
-    """Return what is wrong with a log or its model, and the fit of the log that is right then.
+@dataclass(frozen=True)
+class Found:
+    """What is found in a log.
 
-    Nothing is wrong where the log fits its model.
+    Attributes:
+        findings: what is wrong with it or its model; () where it fits.
+        right: the fit of the log that is right then.
+        answer: the answer to the log as it was read, where it was looked at.
+    """
+
+    findings: Sequence[Finding]
+    right: Fit
+    answer: Fit | None = None
+
+
+def findings(fitted: Fit, evidence: Evidence) -> Found:
+    """Return what is wrong with a log or its model.
 
     Args:
         fitted: the fit of the log, with the columns of ``fault_columns``.
@@ -91,7 +108,7 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
         *time_findings(fitted, evidence),
     ]
     if found:
-        return found[:1], fitted
+        return Found(found[:1], fitted)
     is_experiment = is_of_single_joints(fitted)
     scales = ScaleCorrections(fitted, evidence)
     search = search_faults(Correction((), 0.0, fitted), evidence, scales)
@@ -112,9 +129,9 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
     if not (search.explains and named):
         found += weight_findings(fitted)
     if found:
-        return found[:1], fitted
+        return Found(found[:1], fitted)
     if not search.explains:
-        return unexplained_findings(fitted, search), right
+        return Found(unexplained_findings(fitted, search), right)
     named += name_faults(search.rounds[:MOST_NAMED])
     if not any(each.about is FaultName.DELAY for each in named):
         # One that explains too little torque to be named may be most of a joint's friction.
@@ -122,14 +139,16 @@ def findings(fitted: Fit, evidence: Evidence) -> tuple[list[Finding], Fit]:
         named += delay_findings(right, next(late, search.current))
     unmeasured = [each for each in named if each.about in UNMEASURED]
     if unmeasured:
-        return unmeasured, right
+        return Found(unmeasured, right)
     if is_experiment:
-        return [each for each in named if each.about not in OF_LINKS], right
-    if all(finding.level is Level.SAYS for finding in named):
-        if right is not fitted:
-            scales = ScaleCorrections(right, evidence)
-        named += model_findings(search, scales)
-    return named, right
+        return Found([each for each in named if each.about not in OF_LINKS], right)
+    if any(finding.level is not Level.SAYS for finding in named):
+        return Found(named, right)
+    answer = answer_of(search.current)
+    if right is not fitted:
+        scales = ScaleCorrections(right, evidence)
+    named += model_findings(search, scales, answer)
+    return Found(named, right, answer if search.current is fitted else None)
 
 
 def is_like_gravity(score: Score) -> bool:

@@ -110,23 +110,14 @@ def judge(
     Raises:
         InputError: a log is too short to be looked at.
     """
-    found: list[Finding] = []
-    pieces: list[Recording] = []
-    shares = []
-    velocities: list[Finding] = []
     sides = is_loaded or [False] * len(logs)
     places = order or [0.0] * len(logs)
-    for log, side, place in zip(logs, sides, places):
-        own, kept = check_recording(robot, split_at_gaps(log))
-        found += own
-        ratios = velocity_ratios(kept)
-        shares.append(time_share(ratios))
-        velocities += velocity_notes(ratios, robot.joint_names)
-        # Recorded velocities are not used any more.
-        for piece in kept:
-            pieces.append(
-                replace(piece, qd=None, notes=(), is_loaded=side, order=place)
-            )
+    checked = [
+        checked_log(robot, log, side, place)
+        for log, side, place in zip(logs, sides, places)
+    ]
+    found = [finding for each in checked for finding in each.findings]
+    pieces = [piece for each in checked for piece in each.pieces]
     options = question.options
     notes: tuple[str, ...] = ()
     if not refusals(found):
@@ -154,27 +145,69 @@ def judge(
         n_tried = next(rounds)
         progress.advance(TRYING, n_tried / (n_tried + 3.0), 1.0, "")
 
-    known = [share for share in shares if share is not None]
+    known = [each.time_share for each in checked if each.time_share is not None]
     share = max(known, key=abs, default=None)
     given = logs[0].options.get("torque_scale")
     divided, _ = joint_factors(given, robot.joint_names, TORQUE_SCALE)
     evidence = Evidence(divided, share, advance)
     progress.advance(TRYING, 0.0, 1.0, "")
-    wrong, right = findings(judged, evidence)
+    explained = findings(judged, evidence)
     progress.advance(TRYING, 1.0, 1.0, "")
-    wrong = wrong or [*slow_findings(robot, recordings)]
+    wrong = [*explained.findings] or [*slow_findings(robot, recordings)]
     if not any(finding.about in DOUBTFUL for finding in [*found, *wrong]):
         # Contacts that come back are a doubt, unless something else is wrong.
-        touched = [each for log in right.recordings for each in log.touched]
-        touches = stretch_findings(right.arm.joints, touched)
+        touched = [each for log in explained.right.recordings for each in log.touched]
+        touches = stretch_findings(explained.right.arm.joints, touched)
         found += [each for each in touches if each.level is Level.SAYS or not wrong]
     if not any(finding.about is FaultName.CLOCK for finding in wrong):
-        found += velocities
+        found += [note for each in checked for note in each.velocities]
+    answer = explained.answer if judged is fitted else None
+    answer = answer_of(fitted) if answer is None else answer
     # What was asked of the log alone is not kept with its answer.
-    terms = [term for term in fitted.arm.terms.values() if term.cause]
-    answer = answer_of(replace(fitted, arm=fitted.arm.of(terms)))
+    terms = [term for term in answer.arm.terms.values() if term.cause]
+    answer = replace(answer, arm=answer.arm.of(terms))
     lost = () if refusals([*found, *wrong]) else lost_links(answer)
     return Judged(tuple(logs), in_order([*found, *wrong, *lost]), notes, answer)
+
+
+@dataclass(frozen=True)
+class CheckedLog:
+    """What the samples of a log show.
+
+    Attributes:
+        findings: what is wrong with them, whatever the model.
+        pieces: of the log that may be used, without recorded velocities.
+        time_share: by which share time is too long by these; None where there are none.
+        velocities: what is said of them.
+    """
+
+    findings: tuple[Finding, ...]
+    pieces: tuple[Recording, ...]
+    time_share: float | None
+    velocities: tuple[Finding, ...]
+
+
+def checked_log(
+    robot: RobotModel, log: Recording, is_loaded: bool, order: float
+) -> CheckedLog:
+    """Return the pieces of a log that may be used, and what their samples show.
+
+    Args:
+        robot: the arm with its model.
+        log: that was read.
+        is_loaded: whether the arm carries the payload.
+        order: position of the log in the order of recording.
+    """
+    found, kept = check_recording(robot, split_at_gaps(log))
+    ratios = velocity_ratios(kept)
+    pieces = (
+        replace(piece, qd=None, notes=(), is_loaded=is_loaded, order=order)
+        for piece in kept
+    )
+    velocities = velocity_notes(ratios, robot.joint_names)
+    return CheckedLog(
+        tuple(found), tuple(pieces), time_share(ratios), tuple(velocities)
+    )
 
 
 def wide(priors: Priors) -> Priors:

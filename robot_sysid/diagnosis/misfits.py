@@ -30,12 +30,7 @@ from robot_sysid.diagnosis.scales import ScaleCorrections, little_weight, torque
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
-from robot_sysid.estimate.choose import (
-    answer_of,
-    has_odd_link_alone,
-    odd_link,
-    solve_question,
-)
+from robot_sysid.estimate.choose import has_odd_link_alone, odd_link, solve_question
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offers
@@ -177,17 +172,19 @@ def weighed_time(fitted: Fit) -> float:
     return TIME * float(Offers(fitted).weigh(clock.effect).values[0])
 
 
-def model_findings(search: Search, scales: ScaleCorrections) -> Iterator[Finding]:
+def model_findings(
+    search: Search, scales: ScaleCorrections, answer: Fit
+) -> Iterator[Finding]:
     """Yield what is wrong as a whole, where no fault is named that forbids an estimate.
 
     Args:
         search: what was found in the log.
         scales: torque scales of the log that was searched.
+        answer: to the log with what was found.
     """
     fitted = scales.fitted
     robot = fitted.arm.robot
     current = search.current
-    answer = answer_of(current)
     zeros = [] if search.winners else [*odd_zeros(answer)]
     wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
     # A fault that was found may explain them.

@@ -533,7 +533,8 @@ def own_finding(
         "factor of its own for every joint, as motor currents or per cent of rated torque have, or "
         "all masses of the model are wrong",
         with_option_names(WEIGHING),
-        (torque_scale(np.abs(scale) * evidence.divided, scales.common[1]),),
+        # The known mass says how far off they are, as of a common factor of currents.
+        (torque_scale(np.abs(scale) * evidence.divided),),
         "payload",
         torque_reading(fitted.arm, np.sign(scale)).columns if opposite else None,
     )

@@ -173,16 +173,11 @@ def solve(
     Directions that nothing shows stay at ``reference`` (k,). Parameters that are not ``is_free``
     (k,) stay there, too; their rows of the inverse are zero.
     """
-    size = len(reference)
-    at = np.arange(size) if is_free is None else np.flatnonzero(is_free)
-    gradient = normal[at, -1] - normal[at, :size] @ reference
-    unit = _inverse(normal[at[:, None], at])
-    inverse = np.zeros((size, size))
-    inverse[at[:, None], at] = unit
-    values = reference.copy()
-    values[at] += unit @ gradient
-    # One step of refinement: the inverse of nearly singular equations has lost digits.
-    values[at] += unit @ (normal[at, -1] - normal[at, :size] @ values)
+    matrix = normal[:-1, :-1]
+    values = solution(matrix, normal[:-1, -1], reference, is_free)
+    at = np.arange(len(values)) if is_free is None else np.flatnonzero(is_free)
+    inverse = np.zeros_like(matrix)
+    inverse[at[:, None], at] = _inverse(matrix[at[:, None], at])
     return values, inverse
 
 
@@ -192,46 +187,55 @@ def solution(
     reference: Array,
     is_free: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Return the solution (k,) of ``solve`` alone, in a fifth of its time.
+    """Return the solution (k,) of ``solve`` without the inverse, which takes most of its time.
 
     ``matrix`` (k, k) and ``right_side`` (k,) are the products A'A and A'b.
     """
-    from scipy.linalg.lapack import dpotrf, dpotrs
+    from scipy.linalg.lapack import dpotrs
 
     at = np.arange(len(reference)) if is_free is None else np.flatnonzero(is_free)
     own = matrix[at[:, None], at]
-    length = np.sqrt(np.maximum(np.diag(own), 0.0))
-    scale = 1.0 / np.where(length > 0.0, length, 1.0)
-    scaled = scale[:, None] * own * scale
-    scaled[np.diag_indices_from(scaled)] += _RIDGE
-    root, is_indefinite = dpotrf(scaled, lower=True)
-    if is_indefinite:
-        normal = np.block([[matrix, right_side[:, None]], [right_side, 0.0]])
-        return solve(normal, reference, is_free)[0]
+    scale, scaled, root = _scaled_root(own)
     values = reference.copy()
-    # The second step is one of refinement.
+    # The second step is one of refinement: nearly singular equations lose digits.
     for _ in range(2):
         gradient = right_side[at] - matrix[at] @ values
-        values[at] += scale * dpotrs(root, scale * gradient, lower=True)[0]
+        if root is None:
+            values[at] += _inverse(own) @ gradient
+        else:
+            values[at] += scale * dpotrs(root, scale * gradient, lower=True)[0]
     return values
 
 
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a normal matrix (k, k), regular but for rounding."""
     # A triangle takes a third of the time of a square matrix; SciPy takes some to import.
-    from scipy.linalg.lapack import dpotrf, dtrtri
+    from scipy.linalg.lapack import dtrtri
+
+    scale, scaled, root = _scaled_root(matrix)
+    if root is None:
+        # Rounding has made it indefinite: its positive rows.
+        values, vectors = np.linalg.eigh(scaled)
+        half = vectors / np.sqrt(np.maximum(values, _RIDGE))
+    else:
+        half = dtrtri(root, lower=True)[0].T
+    return scale[:, None] * (half @ half.T) * scale
+
+
+def _scaled_root(matrix: Array) -> tuple[Array, Array, Array | None]:
+    """Return a normal matrix (k, k) with a diagonal of ones, and its Cholesky factor.
+
+    It is (scale (k,) of rows and columns, scaled matrix (k, k), its factor (k, k)); the factor is
+    None where rounding has made the matrix indefinite.
+    """
+    from scipy.linalg.lapack import dpotrf
 
     length = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = 1.0 / np.where(length > 0.0, length, 1.0)
     scaled = scale[:, None] * matrix * scale
     scaled[np.diag_indices_from(scaled)] += _RIDGE
     root, is_indefinite = dpotrf(scaled, lower=True)
-    half = dtrtri(root, lower=True)[0].T
-    if is_indefinite:
-        # Rounding has made it so: its positive rows.
-        values, vectors = np.linalg.eigh(scaled)
-        half = vectors / np.sqrt(np.maximum(values, _RIDGE))
-    return scale[:, None] * (half @ half.T) * scale
+    return scale, scaled, None if is_indefinite else root
 
 
 class LeftOut(Enum):
