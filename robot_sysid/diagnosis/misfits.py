@@ -30,20 +30,25 @@ from robot_sysid.diagnosis.scales import ScaleCorrections, little_weight, torque
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
-from robot_sysid.estimate.choose import has_odd_link_alone, odd_link, solve_question
+from robot_sysid.estimate.choose import (
+    has_odd_link_alone,
+    odd_factor,
+    odd_link,
+    solve_question,
+)
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import PER_CENT
-from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES, ZEROS
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
-from robot_sysid.records.parameters import DELAY, ZERO
+from robot_sysid.records.parameters import DELAY
 from robot_sysid.records.usual_errors import WRONG_DELAY
 from robot_sysid.signals.process import FilteredRecording
-from robot_sysid.wording import option_name
+from robot_sysid.wording import option_name, with_option_names
 
 RIGHT_MODEL = "check that the model is of this arm, with all that is fixed to its links"
 MEASURED = "record the measured joint torque"
@@ -185,15 +190,15 @@ def model_findings(
     fitted = scales.fitted
     robot = fitted.arm.robot
     current = search.current
-    zeros = [] if search.winners else [*odd_zeros(answer)]
+    joints = [] if search.winners else [*odd_joints(answer)]
     wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
     # A fault that was found may explain them.
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
     # Scales follow whatever else is left over.
     is_odd &= scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
-    if zeros:
-        yield from (*zeros, *wrong)
+    if joints:
+        yield from (*joints, *wrong)
     elif wrong and common and not has_odd_link_alone(current):
         yield from map(either, wrong, common)
     elif wrong:
@@ -241,28 +246,54 @@ def either(wrong: Finding, common: Finding) -> Finding:
     )
 
 
-def odd_zeros(answer: Fit) -> Iterator[Finding]:
-    """Yield the findings that zeros are far more off than usual, or centres of mass beyond them.
+def odd_joints(answer: Fit) -> Iterator[Finding]:
+    """Yield the findings that zeros or torque scales are far more off than usual, or what hides
+    them is.
 
     It is a doubt where the log tells them apart: half the square of a number's distance from zero
     in its errors is about its gain.
     """
-    arm = answer.arm
-    for joint, name in zip(
-        arm.robot.joint_names, map(ZERO.key_of, arm.robot.joint_names)
-    ):
-        if name in answer.question.odd_zeros:
-            value, error = answer.by_name[name], answer.error_of(name)
-            is_clear = 0.5 * (value / error) ** 2 > CLEAR
-            yield Finding(
-                Level.DOUBTS if is_clear else Level.SAYS,
-                FaultName.ZERO,
-                f"the position of joint {joint} reads {with_error(abs(value), error, 'rad')} too "
-                f"{'much' if value > 0.0 else 'little'}; or the centres of mass of the links that "
-                "it carries are off the model's by as much: the log tells them hardly apart, and "
-                "their ± has both",
-                TELLING_APART,
-            )
+    odd = [
+        (term.cause, parameter)
+        for term in answer.equations.terms
+        for parameter in term.parameters
+        if parameter.key in answer.question.odd_joints
+    ]
+    for cause, parameter in odd:
+        value, error = answer.by_name[parameter.key], answer.error_of(parameter.key)
+        is_clear = 0.5 * (value / error) ** 2 > CLEAR
+        level = Level.DOUBTS if is_clear else Level.SAYS
+        finding = odd_zero if cause == ZEROS else odd_scale
+        yield finding(level, parameter.of, value, error)
+
+
+def odd_zero(level: Level, joint: str, zero: float, error: float) -> Finding:
+    """Return the finding on the zero of a joint and its error [rad]."""
+    return Finding(
+        level,
+        FaultName.ZERO,
+        f"the position of joint {joint} reads {with_error(abs(zero), error, 'rad')} too "
+        f"{'much' if zero > 0.0 else 'little'}; or the centres of mass of the links that it "
+        "carries are off the model's by as much: the log tells them hardly apart, and their ± has "
+        "both",
+        TELLING_APART,
+    )
+
+
+def odd_scale(level: Level, joint: str, scale: float, error: float) -> Finding:
+    """Return the finding on the torque scale of a joint and its error."""
+    factor = odd_factor(scale)
+    return Finding(
+        level,
+        FaultName.TORQUE_SCALE,
+        f"torque of joint {joint} reads {with_error(factor, factor**2 * error)} times what those "
+        "of the other joints say; or the inertias that it turns are off the model's by as much: "
+        "the log tells them hardly apart, and the ± of its friction and rotor inertia has both",
+        with_option_names(
+            "check the joint's torque constant, gear ratio or sensor, or record once more with a "
+            "known mass away from the joint's axis (robot-sysid payload with {known_mass})"
+        ),
+    )
 
 
 def wrong_mass(answer: Fit) -> Iterator[Finding]:

@@ -8,18 +8,21 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.quantities import quantity
+from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.restricted_fit import error_without_rotors, gravity_in
-from robot_sysid.estimate.terms import ZEROS
+from robot_sysid.estimate.terms import SCALES, ZEROS
 from robot_sysid.estimate.trust import wrong_moment
 from robot_sysid.records.file_access import MODEL_NAMES
-from robot_sysid.records.levels import SURE, UNEXPLAINED
+from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, Remark, percent, with_error
 from robot_sysid.records.quantities import (
     BodyEstimate,
@@ -36,6 +39,9 @@ COARSE = 0.2
 WELL_EXPLAINED = 0.035
 """Largest share of the torque that is unexplained and is not said: logs of right models leave up to
 3 %."""
+UNSHOWN = 0.08
+"""Error of a joint's torque scale by the log alone, from which on it is said: a factor of 1.25 is
+three of these errors, and smaller ones are not seen."""
 LEAST_ZERO = 1e-3
 """Encoder zero up to which a note is not worth it, even if it is significant [rad or m]."""
 
@@ -69,6 +75,7 @@ def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str
             f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
             "identifiable there, the model's values are kept"
         )
+    yield from _scale_notes(fitted, rows)
     yield from _offset_notes(file)
     if robot.kind == "urdf" and needs_mjcf(rows, fitted.arm.motors):
         tests = validation(file), error_without_rotors(file)
@@ -111,6 +118,32 @@ def _offset_notes(file: Fit) -> Iterator[str]:
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
             "that is larger in one direction: counted as errors, they make the torque error of the "
             f"written file on held-out data {percent(np.sqrt(squared + share**2))}"
+        )
+
+
+def _scale_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
+    """Yield a sentence on the joints whose torque may be off by a factor that no log shows.
+
+    Friction and rotor inertia are nearly all of their torque, and take such a factor up.
+    """
+    question = fitted.question
+    written = {row.of for row in rows}
+    offers = Offers(fitted)
+    wrong = np.array([[PER_CENT * usual_errors.WRONG_SCALE]])
+    phrases = []
+    for term in fitted.equations.terms:
+        for parameter in term.parameters if term.cause == SCALES else ():
+            error = float(offers.offer(Effect((parameter.key,), wrong)).errors[0])
+            is_known = parameter.key in question.odd_joints
+            if error > UNSHOWN and parameter.of in written and not is_known:
+                phrases.append(f"{parameter.of} (by up to {percent(INTERVAL * error)})")
+    is_stated = question.options.priors.scale is not None
+    if phrases and not (is_stated or FILE_FRICTION in question.options.kept):
+        yield (
+            f"these logs do not show whether the torque of {', '.join(phrases)} reads too much or "
+            "too little: friction and rotor inertia are nearly all of it there, and their ± assume "
+            f"that it is right to {percent(PER_CENT * usual_errors.SCALE)} "
+            f"({option_setting('priors', 'scale=PERCENT')})"
         )
 
 
