@@ -59,7 +59,6 @@ class PublicArm:
         judge: the log on which the file is judged elsewhere; "" for the last fifth of its own.
         motion: beginning and end of the log's motion [s].
         fitted: part of its own motion that makes the file that the remaining part judges.
-        further: logs of it that no row has.
         known: what is known to be wrong with its logs or its model; "" for nothing.
     """
 
@@ -69,7 +68,6 @@ class PublicArm:
     judge: str = ""
     motion: tuple[float, float] = (0.0, np.inf)
     fitted: float = 0.8
-    further: tuple[str, ...] = ()
     known: str = ""
 
 
@@ -158,7 +156,6 @@ ARMS = (
         "robot-sysid identify published/damiao_am_d02/am_d02.urdf "
         "published/damiao_am_d02/real_friction_identification_joint_6.npz",
         "Coulomb friction 0.168 N·m, which explains 22 % of the variance",
-        further=("published/damiao_am_d02/real_uart_capture_collect_joint_6.npz",),
         known="short and coarse",
     ),
 )
@@ -171,7 +168,7 @@ def public_logs() -> Iterator[PublicLog]:
         name, *words = shlex.split(arm.command)[1:]
         values = COMMANDS[name].parse(words)[0]
         sets = [values.get(key) for key in LOGS]
-        sets += [[Path(file)] for file in (arm.judge, *arm.further) if file]
+        sets += [[Path(arm.judge)]] if arm.judge else []
         options: list[str] = []
         for key in READING:
             if key in values:
