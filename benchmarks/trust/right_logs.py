@@ -85,7 +85,8 @@ MOTIONS: dict[str, tuple[Move, float, float]] = {
 TABLE = PageTable(
     ROOT / "docs" / "evidence.md", "right logs", "python -m benchmarks.trust.right_logs"
 )
-LEVELS = ("says", "doubts", "refuses")
+LEVELS = {"says": "a note", "doubts": "a doubt", "refuses": "a refusal"}
+"""Level of a finding to what the page calls it."""
 Row = dict[str, Any]
 """What is said of a log, and what is answered to it, as a line of the file of rows has it."""
 LOG_DURATION = 20.0
@@ -187,7 +188,7 @@ def alarm_lines(found: Sequence[Row]) -> Iterator[str]:
         for pair in {(each["about"], each["level"]) for each in row["findings"]}
     )
     silent = sum(not row["findings"] for row in found)
-    yield f"| Said of {len(found)} right logs | a note | a doubt | a refusal |"
+    yield f"| Said of {len(found)} right logs | {' | '.join(LEVELS.values())} |"
     yield "| --- | --- | --- | --- |"
     for about in sorted({about for about, _ in counts}):
         cells = " | ".join(str(counts[about, level]) for level in LEVELS)
@@ -218,7 +219,7 @@ def public_line(root: Path, log: PublicLog) -> str:
             f"  {log.files[0]} {each['level']}: {each['about']}: {short(each['text'])}"
         )
     said = ", ".join(
-        dict.fromkeys(f"{each['level']} `{each['about']}`" for each in found)
+        dict.fromkeys(f"{LEVELS[each['level']]} (`{each['about']}`)" for each in found)
     )
     name = " and ".join(f"`{each.parent.name}/{each.name}`" for each in log.files)
     return f"| {name} | {said or 'nothing'} | {log.known or 'nothing'} |"
