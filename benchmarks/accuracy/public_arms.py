@@ -21,6 +21,7 @@ import re
 import shlex
 import sys
 import tempfile
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +42,10 @@ TABLE = PageTable(
     ROOT / "docs" / "evidence.md", "arms", "python -m benchmarks.accuracy.public_arms"
 )
 OUT = Path("sysid_output")
+LOGS = ("measurements", "empty", "loaded", "validation_measurements")
+"""Values of a command that are logs."""
+READING = ("columns", "gravity")
+"""Options that the command ``log`` takes as well."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,7 @@ class PublicArm:
         judge: the log on which the file is judged elsewhere; "" for the last fifth of its own.
         motion: beginning and end of the log's motion [s].
         fitted: part of its own motion that makes the file that the remaining part judges.
+        known: what is known to be wrong with its logs or its model; "" for nothing.
     """
 
     name: str
@@ -62,11 +68,30 @@ class PublicArm:
     judge: str = ""
     motion: tuple[float, float] = (0.0, np.inf)
     fitted: float = 0.8
+    known: str = ""
+
+
+@dataclass(frozen=True)
+class PublicLog:
+    """A log of a public arm, and the words by which commands read it.
+
+    Attributes:
+        files: of the log; its positions and its torques, where these are apart.
+        model: the arm's model.
+        options: how they are read.
+        known: what is known to be wrong with it or its model; "" for nothing.
+    """
+
+    files: tuple[Path, ...]
+    model: Path
+    options: tuple[str, ...]
+    known: str
 
 
 UR10E = "ur10e_payload/ur10e.urdf"
 UR10E_EMPTY = "ur10e_payload/empty_100Hz.csv"
 UR10E_MOTION = (1.1, 25.3)
+OLD_LINKS = "masses and centres of mass of an old table"
 AIRBOT = "published/airbot"
 EMPTY = f"{AIRBOT}/q_chirp_empty.csv {AIRBOT}/tau_chirp_empty.csv"
 LOADED = f"{AIRBOT}/q_chirp_loaded.csv {AIRBOT}/tau_chirp_loaded.csv"
@@ -89,6 +114,7 @@ ARMS = (
         f"robot-sysid identify {UR10E} {UR10E_EMPTY}",
         "not published",
         motion=UR10E_MOTION,
+        known=OLD_LINKS,
     ),
     PublicArm(
         "the same with a block of 2.805 kg",
@@ -96,11 +122,13 @@ ARMS = (
         "--loaded ur10e_payload/loaded_2p805kg_100Hz.csv",
         "not published",
         motion=UR10E_MOTION,
+        known=OLD_LINKS,
     ),
     PublicArm(
         "TIAGo, [FIGAROH's examples](https://github.com/thanhndv212/figaroh-examples)",
         "robot-sysid identify tiago/tiago.urdf tiago/tiago_100Hz.csv",
         "not published",
+        known="efforts without a unit",
     ),
     PublicArm(
         "AIRBOT Play, [figaroh_kinova](https://github.com/liuyurong129/figaroh_kinova)",
@@ -128,8 +156,32 @@ ARMS = (
         "robot-sysid identify published/damiao_am_d02/am_d02.urdf "
         "published/damiao_am_d02/real_friction_identification_joint_6.npz",
         "Coulomb friction 0.168 N·m, which explains 22 % of the variance",
+        known="short and coarse",
     ),
 )
+
+
+def public_logs() -> Iterator[PublicLog]:
+    """Yield every log of the rows, each once."""
+    seen = set()
+    for arm in ARMS:
+        name, *words = shlex.split(arm.command)[1:]
+        values = COMMANDS[name].parse(words)[0]
+        sets = [values.get(key) for key in LOGS]
+        sets += [[Path(arm.judge)]] if arm.judge else []
+        options: list[str] = []
+        for key in READING:
+            if key in values:
+                options += [f"--{key}", *words_of_value(values[key])]
+        for files in map(tuple, filter(None, sets)):
+            if files not in seen:
+                seen.add(files)
+                yield PublicLog(files, values["path"], tuple(options), arm.known)
+
+
+def words_of_value(value: str | Sequence[float]) -> list[str]:
+    """Return the words of an option's value on a command line."""
+    return [value] if isinstance(value, str) else [f"{x:g}" for x in value]
 
 
 def run(arm: PublicArm) -> tuple[int, str]:
