@@ -83,7 +83,7 @@ MOTIONS: dict[str, tuple[Move, float, float]] = {
 }
 """Motion to its function, its duration [s] and the share of friction in the torque."""
 TABLE = PageTable(
-    ROOT / "docs" / "evidence.md", "right logs", "python -m benchmarks.trust.right_logs"
+    ROOT / "docs" / "evidence.md", "right_logs", "python -m benchmarks.trust.right_logs"
 )
 LEVELS = {"says": "a note", "doubts": "a doubt", "refuses": "a refusal"}
 """Level of a finding to what the page calls it."""
