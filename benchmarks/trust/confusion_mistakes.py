@@ -593,6 +593,16 @@ def centre_off(scene: Scene) -> Scene:
     return edit_bodies(scene, change, scene.robot.links[1].body_name)
 
 
+def turned_centre(scene: Scene) -> Scene:
+    """Return the scene with a model whose forearm has its centre of mass with the wrong sign."""
+
+    def change(body: Any) -> None:
+        body.ipos = -body.ipos
+
+    name = scene.robot.links[forearm_of(scene)].body_name
+    return edit_bodies(scene, change, name)
+
+
 def small_inertias(scene: Scene) -> Scene:
     """Return the scene with a model in which the inertias of two links are a tenth."""
     names = [scene.robot.links[index].body_name for index in (1, forearm_of(scene))]
@@ -987,6 +997,11 @@ MODEL_MISTAKES = {
     ),
     "centre_in_mm": Cause(
         centre_in_mm, (("link",),), f"centre of mass.*({CONTRADICTED})"
+    ),
+    "turned_centre": Cause(
+        turned_centre,
+        (("link",),),
+        f"({CONTRADICTED}).*centre of mass|centre of mass.*({CONTRADICTED})",
     ),
 }
 """Mistakes of models, and what models say that has to be counted."""

@@ -31,6 +31,7 @@ from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, shares_of
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.choose import (
+    centre_off_model,
     has_odd_link_alone,
     odd_factor,
     odd_link,
@@ -38,6 +39,7 @@ from robot_sysid.estimate.choose import (
 )
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.links import CENTRE, MASS, OddNumber
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES, ZEROS
@@ -192,6 +194,7 @@ def model_findings(
     current = search.current
     joints = [] if search.winners else [*odd_joints(answer)]
     wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
+    wrong += wrong_centre(answer)
     # A fault that was found may explain them.
     is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
     # Scales follow whatever else is left over.
@@ -302,12 +305,12 @@ def wrong_mass(answer: Fit) -> Iterator[Finding]:
     It has to be farther off than a link of a right model may be, and to be seen: no link has no
     mass, so that something else has taken it up (a gear's ripple).
     """
-    number = answer.question.odd_link
-    if number is None:
+    odd = answer.question.odd_number
+    if odd is None or odd.kind != MASS:
         return
     robot = answer.arm.robot
-    link = robot.links[number]
-    name = answer.arm.links[number][0]
+    link = robot.links[odd.link]
+    name = answer.arm.links[odd.link][0]
     mass = answer.by_name[name]
     error = answer.error_of(name)
     expected = float(link.theta[0])
@@ -321,6 +324,27 @@ def wrong_mass(answer: Fit) -> Iterator[Finding]:
             "look whether the number is right, and whether something is fixed to the link that the "
             "model lacks",
         )
+
+
+def wrong_centre(answer: Fit) -> Iterator[Finding]:
+    """Yield the finding that the log contradicts the centre of mass of one link of the model."""
+    odd = answer.question.odd_number
+    if odd is None or odd.kind != CENTRE:
+        return
+    found = centre_off_model(answer, odd.link)
+    if found.sure < 0.0:
+        return
+    link = answer.arm.robot.links[odd.link]
+    stated = ", ".join(f"{1e3 * each:.0f}" for each in link.theta[1:4] / link.theta[0])
+    way = ", ".join(f"{each:.2f}" for each in found.direction)
+    yield Finding(
+        Level.SAYS,
+        FaultName.MODEL,
+        f"the log contradicts the model's centre of mass of {link.body_name}, ({stated}) mm: it is "
+        f"{with_error(1e3 * found.distance, 1e3 * found.error, 'mm')} from there along ({way}), "
+        "and counts as not known, with the link's inertia",
+        "look whether the centre of mass has the right sign, and is in the frame of its body",
+    )
 
 
 def misfit(fitted: Fit, least: float) -> Finding:
@@ -403,7 +427,7 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
     """
     arm = fitted.arm
     question = fitted.question
-    links = [link for link in arm.others if link != question.odd_link]
+    links = [k for k in arm.others if question.odd_number != OddNumber(k, MASS)]
     masses = {link: arm.model[arm.links[link][0]] for link in links}
     left = 1.0
     if question.common_scale:

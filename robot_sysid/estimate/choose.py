@@ -24,13 +24,19 @@ from robot_sysid.estimate.contacts import without_contacts, without_turns
 from robot_sysid.estimate.fit import Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
     AS_STATED,
+    CENTRE,
+    FAR_OFF_CENTRE,
+    MASS,
+    CentreOff,
     LinkEvidence,
+    OddNumber,
     average_scales,
+    centre_off,
     common_error,
     common_scale,
     is_odd_alone,
     link_directions,
-    odd_number,
+    odd_mass,
     reference_links,
     stated_kinds,
 )
@@ -244,7 +250,11 @@ def answer_to(fitted: Fit, question: Question) -> Fit:
     torque = fitted.sums.rms_torque
     terms = arm_question(fitted.arm, question, torque)
     answer = replace(fitted, question=question).refit(terms)
-    return with_links_of(answer, torque, odd_link(answer))
+    odd = odd_link(answer)
+    answer = with_links_of(answer, torque, odd)
+    if odd is None and (odd := odd_centre(answer)) is not None:
+        answer = with_links_of(answer, torque, odd)
+    return answer
 
 
 def odd_joint(fitted: Fit) -> str | None:
@@ -295,11 +305,43 @@ def odd_joint(fitted: Fit) -> str | None:
     return name if is_odd and weighed.distance > INTERVAL else None
 
 
-def odd_link(fitted: Fit) -> int | None:
-    """Return the number in the arm of the link whose mass is far more off than others'; or None."""
+def odd_link(fitted: Fit) -> OddNumber | None:
+    """Return the mass of a link that is far more off than others'; or None."""
     evidence = link_evidence(fitted)
-    number = None if evidence is None else odd_number(evidence)
-    return None if number is None else fitted.arm.others[number]
+    number = None if evidence is None else odd_mass(evidence)
+    return None if number is None else OddNumber(fitted.arm.others[number], MASS)
+
+
+def centre_off_model(fitted: Fit, link: int) -> CentreOff:
+    """Return how far a fit has the centre of mass of a link, by its number in the arm, off."""
+    places = fitted.at(fitted.arm.links[link])
+    covariance = fitted.covariance[np.ix_(places, places)]
+    reference = fitted.arm.robot.links[link].reference
+    return centre_off(fitted.values[places], covariance, reference[1:4] / reference[0])
+
+
+def odd_centre(fitted: Fit) -> OddNumber | None:
+    """Return the centre of mass that is far more off than those of links are; or None.
+
+    A log that does not fit shows none, and a zero that is far off moves those of all links behind
+    it.
+    """
+    question = fitted.question
+    is_compared = question.changed is not None or question.differing is not None
+    if question.loaded or is_compared or question.odd_joints:
+        return None
+    is_estimated = any(term.cause == LINKS for term in fitted.equations.terms)
+    if fitted.unexplained_share > UNEXPLAINED or not is_estimated:
+        return None
+    shares: dict[int, float] = {}
+    for number in fitted.arm.others:
+        link = fitted.arm.robot.links[number]
+        if CENTRE not in link.placeholders:
+            shares[number] = centre_off_model(fitted, number).sure / link.size
+    most = max(shares, key=lambda number: shares[number], default=None)
+    if most is None or shares[most] < FAR_OFF_CENTRE:
+        return None
+    return OddNumber(most, CENTRE)
 
 
 def has_odd_link_alone(fitted: Fit) -> bool:
@@ -308,19 +350,17 @@ def has_odd_link_alone(fitted: Fit) -> bool:
     return evidence is not None and is_odd_alone(evidence)
 
 
-def with_links_of(fitted: Fit, torque: Array, odd: int | None = None) -> Fit:
+def with_links_of(fitted: Fit, torque: Array, odd: OddNumber | None = None) -> Fit:
     """Return the fit with the priors of links that the data asks for, and with possible bodies.
 
     Args:
         fitted: the fit.
         torque: (J,) root mean square of each joint's torque that sizes the priors [N m].
-        odd: number of the link whose mass is far more off than others'; None for none.
+        odd: number of the model that is far more off than others; None for none.
     """
-    question = replace(fitted.question, odd_link=odd)
-    evidence = link_evidence(fitted)
+    question = replace(fitted.question, odd_number=odd)
+    evidence = link_evidence(fitted, odd)
     if evidence is not None:
-        stated = stated_kinds(fitted.arm.robot, fitted.arm.others, odd)
-        evidence = replace(evidence, stated=stated)
         # A log that does not fit shows nothing of all masses.
         is_shown = fitted.unexplained_share < UNEXPLAINED
         if is_shown and question.usual_offsets and question.asks_common_scale:
@@ -414,10 +454,10 @@ def _motor_term(fitted: Fit, motor: Coupling) -> Term:
     return replace(term, prior=independent(sizes))
 
 
-def link_evidence(fitted: Fit) -> LinkEvidence | None:
+def link_evidence(fitted: Fit, odd: OddNumber | None = None) -> LinkEvidence | None:
     """Return the evidence of a fit on how far the links before the last are off the model.
 
-    None where they are not estimated.
+    None where they are not estimated. An odd number counts as not stated.
     """
     information = links_information(fitted)
     if information is None:
@@ -425,11 +465,11 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     curvature, gradient = information
     robot = fitted.arm.robot
     others = fitted.arm.others
-    directions = link_directions(robot, others)
+    directions = link_directions(robot, others, odd)
     share = PER_CENT * fitted.question.options.priors.link
     off = gradient - curvature @ reference_links(robot, others)
     return LinkEvidence(
-        stated_kinds(robot, others),
+        stated_kinds(robot, others, odd),
         share,
         directions.T @ curvature @ directions,
         directions.T @ off,

@@ -12,7 +12,13 @@ import numpy as np
 
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import BEND, OFFSET, TERMS
-from robot_sysid.estimate.links import AS_STATED, EXPECTED, LinkScales, link_factor
+from robot_sysid.estimate.links import (
+    AS_STATED,
+    EXPECTED,
+    LinkScales,
+    OddNumber,
+    link_factor,
+)
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import (
     DELAY,
@@ -70,8 +76,8 @@ class Question:
             differ from it by more than usual; None where no model is compared.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
-        odd_link: number in the arm of the link whose mass is far more off than the others', and has
-            an error as large as itself; None for none.
+        odd_number: number of the model that is far more off than the others, and has an error as
+            large as itself; None for none.
         common_scale: how far all torque scales may be off together, as a share, by what the data
             says of all masses; zero for what the options say.
         odd_joints: names of the zeros and torque scales that are far more off than usual.
@@ -90,7 +96,7 @@ class Question:
     differing: tuple[str, ...] | None = None
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
-    odd_link: int | None = None
+    odd_number: OddNumber | None = None
     common_scale: float = 0.0
     odd_joints: tuple[str, ...] = ()
     dry: tuple[float, ...] | None = None
@@ -284,7 +290,7 @@ def links_term(arm: ArmTerms, question: Question) -> Term:
     term = arm.terms[LINKS]
     share = PER_CENT * question.options.priors.link
     factor = link_factor(
-        arm.robot, arm.others, share, question.link_scales, question.odd_link
+        arm.robot, arm.others, share, question.link_scales, question.odd_number
     )
     return replace(term, prior=Prior(term.reference, factor))
 

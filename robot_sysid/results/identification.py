@@ -96,9 +96,13 @@ def link_result(
     remarks = judge(OF_ARM, evidence)
     # Links that took up the torque of missed friction say nothing of the model's.
     if missed is None:
-        odd = fitted.question.odd_link
-        name = "" if odd is None else fitted.arm.robot.links[odd].body_name
-        remarks += wrong_links(other_links, written, name)
+        odd = fitted.question.odd_number
+        kinds = (
+            {}
+            if odd is None
+            else {fitted.arm.robot.links[odd.link].body_name: odd.kind}
+        )
+        remarks += wrong_links(other_links, written, kinds)
     return result_of(
         fitted,
         file,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.links import CENTRE, MASS, centre_off
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.quantities import quantity
@@ -21,6 +22,7 @@ from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.restricted_fit import error_without_rotors, gravity_in
 from robot_sysid.estimate.terms import SCALES, ZEROS
 from robot_sysid.estimate.trust import wrong_moment
+from robot_sysid.records import InertialParameters
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, Remark, percent, with_error
@@ -177,25 +179,22 @@ def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
 
 
 def wrong_links(
-    links: Iterable[BodyEstimate], file: ModelFile, odd: str
+    links: Iterable[BodyEstimate], file: ModelFile, odd: Mapping[str, str]
 ) -> Iterator[Remark]:
-    """Yield a doubt on each link whose mass or first moment in the model the recordings contradict.
+    """Yield a doubt on each link of the model of which the recordings contradict a number.
 
     Args:
         links: estimates of links before the last.
         file: the written model, which keeps the link or has it corrected.
-        odd: name of the link whose mass is far more off than the others'; "" for none.
+        odd: name of a link to the kind of its number that is far more off than the others.
     """
     is_kept = FILE_LINKS in file.kept
     remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
     for link in links:
-        if link.name == odd and link.prior is not None:
-            text = (
-                f"{odd} of the model is probably wrong: its mass is "
-                f"{with_error(link.mass, link.errors[0], 'kg')}, in the model "
-                f"{link.prior.mass:.3g}, and counts as not known"
-            )
-            yield Remark(Level.DOUBTS, odd, text, remedy)
+        if link.name in odd and link.prior is not None:
+            off = OFF_BY_KIND[odd[link.name]](link, link.prior)
+            text = f"{link.name} of the model is probably wrong: its {off}"
+            yield Remark(Level.DOUBTS, link.name, text, remedy)
             continue
         wrong = wrong_moment(link)
         if wrong is None:
@@ -206,6 +205,26 @@ def wrong_links(
             f"{wrong.expected:.3g}, and torques show no more than that product"
         )
         yield Remark(Level.DOUBTS, wrong.link, text, remedy)
+
+
+def _mass_off(link: BodyEstimate, prior: InertialParameters) -> str:
+    """Return how far the mass of a link is off its prior."""
+    mass = with_error(link.mass, link.errors[0], "kg")
+    return f"mass is {mass}, in the model {prior.mass:.3g}, and counts as not known"
+
+
+def _centre_off(link: BodyEstimate, prior: InertialParameters) -> str:
+    """Return how far the centre of mass of a link is off its prior."""
+    off = centre_off(link.theta, link.covariance, prior.com)
+    distance = with_error(1e3 * off.distance, 1e3 * off.error, "mm")
+    return (
+        f"centre of mass is {distance} from where the model has it, and counts as not known, with "
+        "its inertia"
+    )
+
+
+OFF_BY_KIND = {MASS: _mass_off, CENTRE: _centre_off}
+"""How far a number of a link is off its prior, by the number's kind."""
 
 
 def unknown_inertia(payload: BodyEstimate) -> str:

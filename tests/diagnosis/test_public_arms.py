@@ -11,6 +11,7 @@ import pytest
 from rigs.arms.motions import one_at_a_time
 from rigs.arms.wrong_arms import ARMS, draw_arm, link_torque, truth_of
 from rigs.files.places import MODELS
+from robot_sysid import spatial
 from robot_sysid.diagnosis.misfits import lost_links
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
@@ -166,9 +167,30 @@ def test_a_forearm_ten_times_too_heavy_is_no_factor_alone_and_its_mass_is_found(
     assert all(abs(mass - true) < 3.0 * error for mass, error, true in masses)
 
 
+def test_a_forearm_with_its_centre_on_the_wrong_side_is_named_and_its_error_widens():
+    robot = load_robot_model(MODELS / ARMS["ur5e"])
+    drawn = draw_arm(robot, "real", False, 20.0, True, 2)
+    number = robot.n_joints - 4
+    link = robot.links[number]
+    mass, centre, inertia = spatial.com_from_theta(link.theta)
+    model = copy.copy(robot.mj_model)
+    write_body(model, link.body_id, spatial.theta_from_com(mass, -centre, inertia))
+    answer = judged(load_robot_model(model), drawn.log)
+    (found,) = answer.findings
+    assert found.level is Level.SAYS
+    assert f"contradicts the model's centre of mass of {link.body_name}" in found.text
+    names = answer.fit.arm.links[number]
+    errors = np.array([answer.fit.error_of(name) for name in names])
+    values = np.array([answer.fit.by_name[name] for name in names])
+    off = np.abs(values - drawn.arm.thetas[number]) / errors
+    assert np.all(off < 3.0), off
+    as_it_is = judged(robot, drawn.log)
+    assert as_it_is.findings == () and as_it_is.fit.question.odd_number is None
+
+
 def test_links_that_are_off_as_usual_are_not(truth):
     answer = judged(truth.robot, truth.log)
-    assert answer.findings == () and answer.fit.question.odd_link is None
+    assert answer.findings == () and answer.fit.question.odd_number is None
 
 
 @pytest.fixture(scope="module")

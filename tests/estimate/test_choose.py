@@ -39,14 +39,17 @@ from robot_sysid.estimate.choose import (
 )
 from robot_sysid.estimate.links import (
     AS_STATED,
+    CENTRE,
+    MASS,
     LinkEvidence,
     LinkScales,
+    OddNumber,
     average_scales,
     common_scale,
     deviations,
     link_directions,
     link_factor,
-    odd_number,
+    odd_mass,
 )
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
@@ -308,13 +311,13 @@ def all_off_by(size, seed=0):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_one_mass_that_is_far_more_off_than_others_is_found(seed):
-    assert odd_number(off_by(0.0, seed)) is None
-    assert odd_number(off_by(3.0, seed)) == 2
-    assert odd_number(off_by(-3.0, seed)) == 2
+    assert odd_mass(off_by(0.0, seed)) is None
+    assert odd_mass(off_by(3.0, seed)) == 2
+    assert odd_mass(off_by(-3.0, seed)) == 2
 
 
 def test_an_error_that_all_masses_share_is_none_of_one_link():
-    assert odd_number(all_off_by(0.5)) is None
+    assert odd_mass(all_off_by(0.5)) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -322,7 +325,7 @@ def test_one_mass_is_found_by_links_as_usual_where_all_seem_far_off(seed):
     """Scales that all links share may hold it: its error is as large as itself, and no larger."""
     evidence = off_by(-0.9, seed)
     assert average_scales(evidence).mass > average_scales(off_by(0.0, seed)).mass
-    assert odd_number(evidence) == 2
+    assert odd_mass(evidence) == 2
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -339,12 +342,25 @@ def test_what_is_stated_of_all_masses_is_no_error_of_torques():
 
 def test_the_mass_of_an_odd_link_has_an_error_as_large_as_itself():
     arm = small_arms.robot_of(XML)
-    for odd in (None, 1):
+    for odd in (None, OddNumber(1, MASS)):
         factor = link_factor(arm, (0, 1), 0.05, AS_STATED, odd)
         errors = np.sqrt(np.sum(factor**2, axis=1))[[0, 10]]
         masses = np.array([arm.links[link].theta[0] for link in (0, 1)])
         own = np.array([0.05, 0.05 if odd is None else 1.0])
         assert_allclose(errors / masses, np.hypot(own, 0.05))
+
+
+def test_an_odd_centre_of_mass_counts_as_not_known_with_the_inertia_about_its_joint():
+    arm = small_arms.robot_of(XML)
+    usual, odd = (
+        np.sqrt(np.sum(link_factor(arm, (0, 1), 0.05, AS_STATED, each) ** 2, axis=1))
+        for each in (None, OddNumber(1, CENTRE))
+    )
+    link = arm.links[1]
+    mass = link.theta[0]
+    assert_allclose(odd[:11], usual[:11])
+    assert np.all(odd[11:14] > mass * link.size)
+    assert np.all(odd[14:] > mass * link.size**2)
 
 
 def test_the_zero_of_a_joint_that_is_far_off_gets_a_prior_of_its_own(robot, noisy):

@@ -12,6 +12,7 @@ from rigs.arms import small_arms
 from rigs.arms.core_fits import fit_logs
 from rigs.files import results as made
 from robot_sysid import spatial
+from robot_sysid.estimate.links import CENTRE, MASS
 from robot_sysid.estimate.payload import Contradiction
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import Flange, Validation
@@ -254,7 +255,7 @@ def test_a_joint_with_unexplained_torque_is_named_unless_it_is_white_noise(
 def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is_named):
     """By 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
     link = replace(body(distance, error), prior=body())
-    named = list(wrong_links([link], made.model_file(), ""))
+    named = list(wrong_links([link], made.model_file(), {}))
     assert len(named) == is_named
     for remark in named:
         assert (remark.level, remark.about) == (Level.DOUBTS, link.name)
@@ -263,9 +264,15 @@ def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is
 
 def test_a_link_whose_mass_is_far_off_is_named_by_its_mass():
     link = replace(body(0.15, 0.01), prior=body())
-    (remark,) = wrong_links([link], made.model_file(), link.name)
+    (remark,) = wrong_links([link], made.model_file(), {link.name: MASS})
     assert f"{link.name} of the model is probably wrong: its mass is" in remark.text
     assert "counts as not known" in remark.text
+
+
+def test_a_link_whose_centre_is_far_off_is_named_by_its_centre():
+    link = replace(body(0.15, 0.01), prior=body())
+    (remark,) = wrong_links([link], made.model_file(), {link.name: CENTRE})
+    assert "its centre of mass is" in remark.text and "mm from where" in remark.text
 
 
 @pytest.mark.parametrize(
