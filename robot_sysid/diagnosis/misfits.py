@@ -302,8 +302,9 @@ def odd_scale(level: Level, joint: str, scale: float, error: float) -> Finding:
 def wrong_mass(answer: Fit) -> Iterator[Finding]:
     """Yield the finding that the log contradicts the mass of one link of the model by far.
 
-    It has to be farther off than a link of a right model may be, and to be seen: no link has no
-    mass, so that something else has taken it up (a gear's ripple).
+    It has to be farther off than a link of a right model may be, and to be larger than its error:
+    no link has no mass, so that something else has taken it up (a gear's ripple). A forearm whose
+    mass is ten times too large in the model comes out with twice its error.
     """
     odd = answer.question.odd_number
     if odd is None or odd.kind != MASS:
@@ -314,7 +315,7 @@ def wrong_mass(answer: Fit) -> Iterator[Finding]:
     mass = answer.by_name[name]
     error = answer.error_of(name)
     expected = float(link.theta[0])
-    is_seen = mass > INTERVAL * error
+    is_seen = mass > error
     if is_seen and abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
         yield Finding(
             Level.SAYS,
