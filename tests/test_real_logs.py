@@ -209,7 +209,7 @@ def test_tiagos_efforts_are_named_with_the_command_that_weighs_their_constants(
         "torque.arm_3_joint = -arm_3_joint_effort",
         "torque.arm_4_joint = -arm_4_joint_effort",
     ]
-    scales = parse_factors(words[words.index("--torque-scale") + 1]).values
+    scales = parse_factors(words[words.index("--torque-scale") + 1])
     for joint, constant in ((2, 13.6), (3, 8.7), (4, 8.7)):
         assert 0.7 < scales[joint] * constant < 1.4
 

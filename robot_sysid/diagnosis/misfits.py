@@ -265,9 +265,11 @@ def odd_joints(answer: Fit) -> Iterator[Finding]:
     for cause, parameter in odd:
         value, error = answer.by_name[parameter.key], answer.error_of(parameter.key)
         is_clear = 0.5 * (value / error) ** 2 > CLEAR
-        level = Level.DOUBTS if is_clear else Level.SAYS
-        finding = odd_zero if cause == ZEROS else odd_scale
-        yield finding(level, parameter.of, value, error)
+        if cause == ZEROS:
+            level = Level.DOUBTS if is_clear else Level.SAYS
+            yield odd_zero(level, parameter.of, value, error)
+        else:
+            yield odd_scale(parameter.of, value, error)
 
 
 def odd_zero(level: Level, joint: str, zero: float, error: float) -> Finding:
@@ -283,11 +285,14 @@ def odd_zero(level: Level, joint: str, zero: float, error: float) -> Finding:
     )
 
 
-def odd_scale(level: Level, joint: str, scale: float, error: float) -> Finding:
-    """Return the finding on the torque scale of a joint and its error."""
+def odd_scale(joint: str, scale: float, error: float) -> Finding:
+    """Return the finding on the torque scale of the last joint and its error.
+
+    It is no doubt: friction and rotor of this joint alone rest on it, and their ± has it.
+    """
     factor = odd_factor(scale)
     return Finding(
-        level,
+        Level.SAYS,
         FaultName.TORQUE_SCALE,
         f"torque of joint {joint} reads {with_error(factor, factor**2 * error)} times what those "
         "of the other joints say; or the inertias that it turns are off the model's by as much: "

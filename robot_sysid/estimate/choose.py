@@ -258,14 +258,15 @@ def answer_to(fitted: Fit, question: Question) -> Fit:
 
 
 def odd_joint(fitted: Fit) -> str | None:
-    """Return the name of the zero or torque scale that is far more off than usual, beside known
-    ones; or None.
+    """Return the name of the zero, or of the last joint's torque scale, that is far more off than
+    usual, beside known ones; or None.
 
     Centres of mass of the links that a joint carries take up most of a wrong zero, friction and
-    rotor most of a wrong factor on the torque of a joint without weight, so that no torque is left
-    that would name it; held at the usual size, they are many of their errors off. A tilt of the
-    base is a simpler cause than a zero where it explains as much. A log that does not fit shows
-    nothing of that.
+    rotor most of a wrong factor on the torque of the last joint, so that no torque is left that
+    would name it; held at the usual size, they are many of their errors off. A tilt of the base is
+    a simpler cause than a zero where it explains as much. Other joints carry links that are known,
+    and a scale of theirs would take up what gears do: in a published log, 0.6 to 0.7 of three
+    joints. A log that does not fit shows nothing of that.
     """
     question = fitted.question
     is_compared = question.changed is not None or question.differing is not None
@@ -280,6 +281,8 @@ def odd_joint(fitted: Fit) -> str | None:
     }
     slides = map(ZERO.key_of, fitted.arm.robot.slides)
     known = {*slides, *question.odd_joints}
+    if SCALES in fitted.arm.terms:
+        known |= {*fitted.arm.terms[SCALES].names[:-1]}
     is_stated = question.options.priors.scale is not None
     causes = {
         name: term.cause

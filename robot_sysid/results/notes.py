@@ -124,29 +124,38 @@ def _offset_notes(file: Fit) -> Iterator[str]:
 
 
 def _scale_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
-    """Yield a sentence on the joints whose torque may be off by a factor that no log shows.
+    """Yield a sentence on torques that may be off by a factor that no log shows.
 
-    Friction and rotor inertia are nearly all of their torque, and take such a factor up.
+    Friction and rotor inertia are nearly all of the torque of some joints, and take a factor on it
+    up. One on all torques is one on all masses.
     """
     question = fitted.question
     written = {row.of for row in rows}
-    offers = Offers(fitted)
-    wrong = np.array([[PER_CENT * usual_errors.WRONG_SCALE]])
-    phrases = []
-    for term in fitted.equations.terms:
-        for parameter in term.parameters if term.cause == SCALES else ():
-            error = float(offers.offer(Effect((parameter.key,), wrong)).errors[0])
-            is_known = parameter.key in question.odd_joints
-            if error > UNSHOWN and parameter.of in written and not is_known:
-                phrases.append(f"{parameter.of} (by up to {percent(INTERVAL * error)})")
+    scales = fitted.arm.terms[SCALES]
+    wrong = PER_CENT * usual_errors.WRONG_SCALE
+    common = Effect(scales.names, np.full((len(scales.names), 1), wrong))
+    phrases = _unshown(fitted, common, "all joints together")
+    for parameter in scales.parameters:
+        if parameter.of in written and parameter.key not in question.odd_joints:
+            own = Effect((parameter.key,), np.array([[wrong]]))
+            phrases += _unshown(fitted, own, parameter.of)
+    is_asked = SCALES in {term.cause for term in fitted.equations.terms}
     is_stated = question.options.priors.scale is not None
-    if phrases and not (is_stated or FILE_FRICTION in question.options.kept):
+    usual = PER_CENT * usual_errors.SCALE
+    # The errors of a payload have those of the torques in them.
+    if phrases and is_asked and not (is_stated or question.loaded):
         yield (
-            f"these logs do not show whether the torque of {', '.join(phrases)} reads too much or "
-            "too little: friction and rotor inertia are nearly all of it there, and their ± assume "
-            f"that it is right to {percent(PER_CENT * usual_errors.SCALE)} "
+            "these logs do not show a torque that reads too much or too little by a factor of up "
+            f"to {', '.join(phrases)}: masses, friction and rotor inertia are as right as the "
+            f"torques, which their ± take to be right to {percent(usual)} each "
             f"({option_setting('priors', 'scale=PERCENT')})"
         )
+
+
+def _unshown(fitted: Fit, effect: Effect, owner: str) -> list[str]:
+    """Return the factor that torque scales may have without a log that shows it; [] for little."""
+    error = float(Offers(fitted).offer(effect).errors[0])
+    return [f"{1.0 + INTERVAL * error:.2f} ({owner})"] * (error > UNSHOWN)
 
 
 def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
