@@ -147,8 +147,7 @@ def _scale_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
         yield (
             "these logs do not show a torque that reads too much or too little by a factor of up "
             f"to {', '.join(phrases)}: masses, friction and rotor inertia are as right as the "
-            f"torques, which their ± take to be right to {percent(usual)} each "
-            f"({option_setting('priors', 'scale=PERCENT')})"
+            f"torques, which their ± take to be right to {percent(usual)} each, by the prior scale"
         )
 
 
