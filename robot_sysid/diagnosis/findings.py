@@ -20,7 +20,7 @@ from robot_sysid.diagnosis.column_search import (
     sign_correction,
     zero_correction,
 )
-from robot_sysid.diagnosis.columns import OF_COLUMNS, time_bases
+from robot_sysid.diagnosis.columns import OF_COLUMNS, angle_units, time_bases
 from robot_sysid.diagnosis.misfits import (
     delay_findings,
     external_findings,
@@ -232,9 +232,14 @@ def search_or_corrected(
     is_factor = search.explains and named == {FaultName.TORQUE_SCALE}
     if is_factor:
         is_factor = columns.gain_of(time_bases(columns.arm.robot)) < CLEAR
-    # Nor does one whose torques are in another unit, and fits in the right one.
+    # Nor does one whose torques are in another unit, and fits in the right one, unless positions in
+    # another unit read better: of an arm that hardly moves, weight is any factor.
     is_unit = is_foreign(scales.fitted)
-    if not is_factor and not (is_unit and any(fits(each.fit) for each in tried)):
+    is_right = is_unit and any(fits(each.fit) for each in tried)
+    if is_right:
+        angles = angle_units(columns.arm.robot, columns.moving)
+        is_right = columns.gain_of(angles) < CLEAR
+    if not (is_factor or is_right):
         tried += column_correction(columns, evidence)
     likely = [each for each in tried if is_likely(each, scales.fitted)]
     best = sorted(likely, key=lambda each: -each.gain)
