@@ -33,7 +33,6 @@ from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.choose import (
     centre_off_model,
     has_odd_link_alone,
-    odd_factor,
     odd_link,
     solve_question,
 )
@@ -42,15 +41,15 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.links import CENTRE, MASS, OddNumber
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import PER_CENT
-from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES, ZEROS
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
-from robot_sysid.records.parameters import DELAY
+from robot_sysid.records.parameters import DELAY, ZERO
 from robot_sysid.records.usual_errors import WRONG_DELAY
 from robot_sysid.signals.process import FilteredRecording
-from robot_sysid.wording import option_name, with_option_names
+from robot_sysid.wording import option_name
 
 RIGHT_MODEL = "check that the model is of this arm, with all that is fixed to its links"
 MEASURED = "record the measured joint torque"
@@ -192,7 +191,7 @@ def model_findings(
     fitted = scales.fitted
     robot = fitted.arm.robot
     current = search.current
-    joints = [] if search.winners else [*odd_joints(answer)]
+    zeros = [] if search.winners else [*odd_zeros(answer)]
     wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
     wrong += wrong_centre(answer)
     # A fault that was found may explain them.
@@ -200,8 +199,8 @@ def model_findings(
     # Scales follow whatever else is left over.
     is_odd &= scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
-    if joints:
-        yield from (*joints, *wrong)
+    if zeros:
+        yield from (*zeros, *wrong)
     elif wrong and common and not has_odd_link_alone(current):
         yield from map(either, wrong, common)
     elif wrong:
@@ -249,58 +248,29 @@ def either(wrong: Finding, common: Finding) -> Finding:
     )
 
 
-def odd_joints(answer: Fit) -> Iterator[Finding]:
-    """Yield the findings that zeros or torque scales are far more off than usual, or what hides
-    them is.
+def odd_zeros(answer: Fit) -> Iterator[Finding]:
+    """Yield the findings that zeros are far more off than usual, or centres of mass beyond them."""
+    for joint in answer.arm.robot.joint_names:
+        name = ZERO.key_of(joint)
+        if name in answer.question.odd_zeros:
+            yield odd_zero(joint, answer.by_name[name], answer.error_of(name))
 
-    It is a doubt where the log tells them apart: half the square of a number's distance from zero
-    in its errors is about its gain.
+
+def odd_zero(joint: str, zero: float, error: float) -> Finding:
+    """Return the finding on the zero of a joint and its error [rad].
+
+    It is a doubt where the log tells it from centres of mass: half the square of a number's
+    distance from zero in its errors is about its gain.
     """
-    odd = [
-        (term.cause, parameter)
-        for term in answer.equations.terms
-        for parameter in term.parameters
-        if parameter.key in answer.question.odd_joints
-    ]
-    for cause, parameter in odd:
-        value, error = answer.by_name[parameter.key], answer.error_of(parameter.key)
-        is_clear = 0.5 * (value / error) ** 2 > CLEAR
-        if cause == ZEROS:
-            level = Level.DOUBTS if is_clear else Level.SAYS
-            yield odd_zero(level, parameter.of, value, error)
-        else:
-            yield odd_scale(parameter.of, value, error)
-
-
-def odd_zero(level: Level, joint: str, zero: float, error: float) -> Finding:
-    """Return the finding on the zero of a joint and its error [rad]."""
+    is_clear = 0.5 * (zero / error) ** 2 > CLEAR
     return Finding(
-        level,
+        Level.DOUBTS if is_clear else Level.SAYS,
         FaultName.ZERO,
         f"the position of joint {joint} reads {with_error(abs(zero), error, 'rad')} too "
         f"{'much' if zero > 0.0 else 'little'}; or the centres of mass of the links that it "
         "carries are off the model's by as much: the log tells them hardly apart, and their ± has "
         "both",
         TELLING_APART,
-    )
-
-
-def odd_scale(joint: str, scale: float, error: float) -> Finding:
-    """Return the finding on the torque scale of the last joint and its error.
-
-    It is no doubt: friction and rotor of this joint alone rest on it, and their ± has it.
-    """
-    factor = odd_factor(scale)
-    return Finding(
-        Level.SAYS,
-        FaultName.TORQUE_SCALE,
-        f"torque of joint {joint} reads {with_error(factor, factor**2 * error)} times what those "
-        "of the other joints say; or the inertias that it turns are off the model's by as much: "
-        "the log tells them hardly apart, and the ± of its friction and rotor inertia has both",
-        with_option_names(
-            "check the joint's torque constant, gear ratio or sensor, or record once more with a "
-            "known mass away from the joint's axis (robot-sysid payload with {known_mass})"
-        ),
     )
 
 

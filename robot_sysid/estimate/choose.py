@@ -44,7 +44,6 @@ from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import LEAST_DRY, PER_CENT, Question, arm_question
 from robot_sysid.estimate.terms import (
     LINKS,
-    SCALES,
     ZEROS,
     ArmTerms,
     Point,
@@ -54,7 +53,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED
+from robot_sysid.records.levels import CLEAR, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.parameters import ZERO
 from robot_sysid.signals.process import FilteredRecording
@@ -63,14 +62,10 @@ MOST_OF_ZERO = SURE * 1e-3 * usual_errors.WRONG_ZERO
 """Zero from which on it stands for something else: one that is really so far off leaves torque that
 centres of mass do not take up. In a published log two of 16 and 24 degrees stood for links [rad].
 """
-MOST_OF_FACTOR = 2.5
-"""The same of the factor of a torque scale, or its inverse: one that is larger is no torque
-constant that is a little wrong."""
-ODD_JOINT = 2.5
-"""Least gain in the log evidence at which a joint's zero or torque scale is taken to be far more
-off than usual, as for a link's mass (``links.ODD``): zeros of right logs gain 0.5 at most, scales
-0.9; 3 degrees at a shoulder, of which centres of mass hide most, 3.5 or more; the torque of a last
-joint 1.5 times what it should be 0.4 to 46."""
+ODD_ZERO = 2.5
+"""Least gain in the log evidence at which a joint's zero is taken to be far more off than usual, as
+for a link's mass (``links.ODD``): right logs gain 0.5 at most, 3 degrees at a shoulder, of which
+centres of mass hide most, 3.5 or more."""
 # Shows nothing.
 _SILENT = Progress()
 # What is shown of the way to an answer.
@@ -222,27 +217,11 @@ def answer_of(fitted: Fit) -> Fit:
         fitted.question, usual_offsets=True, link_scales=AS_STATED, common_scale=0.0
     )
     plain = answer = answer_to(fitted, question)
-    while (odd := odd_joint(answer)) is not None:
-        question = replace(question, odd_joints=(*question.odd_joints, odd))
+    while (zero := odd_zero(answer)) is not None:
+        question = replace(question, odd_zeros=(*question.odd_zeros, zero))
         answer = answer_to(fitted, question)
-    of_zeros = {*map(ZERO.key_of, fitted.arm.robot.joint_names)}
-    found = {name: answer.by_name[name] for name in question.odd_joints}
-    is_joint = all(
-        abs(value) < MOST_OF_ZERO
-        if name in of_zeros
-        else 1.0 / MOST_OF_FACTOR < odd_factor(value) < MOST_OF_FACTOR
-        for name, value in found.items()
-    )
-    return answer if is_joint else plain
-
-
-def odd_factor(scale: float) -> float:
-    """Return by which factor a torque reads too much whose scale is found beside its friction.
-
-    Friction and rotor have taken the factor k as well, so that the column of the scale is the
-    recorded torque: what is explained is 1 - 1 / k of it. A factor without bounds is infinite.
-    """
-    return 1.0 / max(1.0 - scale, 1e-300)
+    off = [abs(answer.by_name[zero]) for zero in question.odd_zeros]
+    return plain if max(off, default=0.0) > MOST_OF_ZERO else answer
 
 
 def answer_to(fitted: Fit, question: Question) -> Fit:
@@ -257,55 +236,38 @@ def answer_to(fitted: Fit, question: Question) -> Fit:
     return answer
 
 
-def odd_joint(fitted: Fit) -> str | None:
-    """Return the name of the zero, or of the last joint's torque scale, that is far more off than
-    usual, beside known ones; or None.
+def odd_zero(fitted: Fit) -> str | None:
+    """Return the name of the zero that is far more off than usual, beside known ones; or None.
 
-    Centres of mass of the links that a joint carries take up most of a wrong zero, friction and
-    rotor most of a wrong factor on the torque of the last joint, so that no torque is left that
-    would name it; held at the usual size, they are many of their errors off. A tilt of the base is
-    a simpler cause than a zero where it explains as much. Other joints carry links that are known,
-    and a scale of theirs would take up what gears do: in a published log, 0.6 to 0.7 of three
-    joints. A log that does not fit shows nothing of that.
+    Centres of mass of the links that a joint carries take up most of a wrong zero, so that no
+    torque is left that would name it; held at the usual zero, they are many of their errors off. A
+    tilt of the base is the simpler cause where it explains as much. A log that does not fit shows
+    nothing of that.
     """
     question = fitted.question
     is_compared = question.changed is not None or question.differing is not None
-    if question.loaded or is_compared or not fitted.arm.others:
+    spans = [s for t, s in fitted.equations.spans if t.cause == ZEROS]
+    if question.loaded or is_compared or not spans or not fitted.arm.others:
         return None
     if fitted.unexplained_share > UNEXPLAINED:
         return None
     offers = Offers(fitted)
-    wrong = {
-        ZEROS: 1e-3 * usual_errors.WRONG_ZERO,
-        SCALES: PER_CENT * usual_errors.WRONG_SCALE,
-    }
+    size = 1e-3 * np.array([[usual_errors.WRONG_ZERO]])
     slides = map(ZERO.key_of, fitted.arm.robot.slides)
-    known = {*slides, *question.odd_joints}
-    if SCALES in fitted.arm.terms:
-        known |= {*fitted.arm.terms[SCALES].names[:-1]}
-    is_stated = question.options.priors.scale is not None
-    causes = {
-        name: term.cause
-        for term in fitted.equations.terms
-        if term.cause in wrong and not (term.cause == SCALES and is_stated)
-        for name in term.names
-        if name not in known
-    }
-    every = [
-        offers.offer(Effect((name,), np.array([[wrong[cause]]])))
-        for name, cause in causes.items()
-    ]
+    names = {*fitted.arm.terms[ZEROS].names} - {*slides, *question.odd_zeros}
+    every = [offers.offer(Effect((name,), size)) for name in sorted(names)]
     best = max(every, default=None, key=lambda each: each.gain)
-    if best is None or best.gain < ODD_JOINT:
+    if best is None or best.gain < ODD_ZERO:
         return None
-    (name,) = best.effect.names
-    gain = best.gain
-    if causes[name] == ZEROS and TILT_NAMES[0] in fitted.names:
-        tilt = np.radians(usual_errors.WRONG_GRAVITY) * np.eye(len(TILT_NAMES))
-        gain -= max(offers.offer(Effect(TILT_NAMES, tilt)).gain, 0.0)
+    tilt = np.radians(usual_errors.WRONG_GRAVITY) * np.eye(len(TILT_NAMES))
+    simpler = (
+        offers.offer(Effect(TILT_NAMES, tilt)).gain
+        if TILT_NAMES[0] in fitted.names
+        else 0.0
+    )
     weighed = offers.weigh(best.effect)
-    is_odd = min(gain, weighed.gain) > ODD_JOINT
-    return name if is_odd and weighed.distance > INTERVAL else None
+    is_odd = min(best.gain - max(simpler, 0.0), weighed.gain) > ODD_ZERO
+    return best.effect.names[0] if is_odd and weighed.distance > SURE else None
 
 
 def odd_link(fitted: Fit) -> OddNumber | None:
@@ -331,7 +293,7 @@ def odd_centre(fitted: Fit) -> OddNumber | None:
     """
     question = fitted.question
     is_compared = question.changed is not None or question.differing is not None
-    if question.loaded or is_compared or question.odd_joints:
+    if question.loaded or is_compared or question.odd_zeros:
         return None
     is_estimated = any(term.cause == LINKS for term in fitted.equations.terms)
     if fitted.unexplained_share > UNEXPLAINED or not is_estimated:

@@ -24,7 +24,6 @@ from robot_sysid.estimate.terms import (
     LAST_LINK,
     MOTORS,
     PAYLOAD,
-    SCALES,
     ZEROS,
     ArmTerms,
     Term,
@@ -108,13 +107,11 @@ def body_estimate(
     """
     budget = fitted.budget(combinations)
     covariance = combinations @ fitted.covariance @ combinations.T
-    if fitted.question.odd_joints:
-        # A file lacks zeros and scales: its bodies take up the torque of one that is far off.
+    if fitted.question.odd_zeros:
+        # A file lacks zeros: its bodies take up the torque of one that is far off.
         taken = combinations @ (values - fitted.values)
         covariance = covariance + np.outer(taken, taken)
-        is_zero = fitted.question.odd_joints[0] in fitted.arm.terms[ZEROS].names
-        cause = ZEROS if is_zero else SCALES
-        budget[cause] = np.hypot(budget.get(cause, 0.0), taken)
+        budget[ZEROS] = np.hypot(budget.get(ZEROS, 0.0), taken)
     weight = np.abs(combinations)
     share = weight @ fitted.share() / np.maximum(np.sum(weight, axis=1), 1e-300)
     hidden = weight[:, fitted.is_hidden]

@@ -80,7 +80,7 @@ class Question:
             large as itself; None for none.
         common_scale: how far all torque scales may be off together, as a share, by what the data
             says of all masses; zero for what the options say.
-        odd_joints: names of the zeros and torque scales that are far more off than usual.
+        odd_zeros: names of the zeros of joints that are far more off than usual.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None for the
             model's.
         is_first: whether it comes before any fit, which tells dry friction that fades with speed
@@ -98,7 +98,7 @@ class Question:
     link_scales: LinkScales = AS_STATED
     odd_number: OddNumber | None = None
     common_scale: float = 0.0
-    odd_joints: tuple[str, ...] = ()
+    odd_zeros: tuple[str, ...] = ()
     dry: tuple[float, ...] | None = None
     is_first: bool = False
     usual_offsets: bool = False
@@ -149,9 +149,6 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     terms += _unknown_friction(arm, question, torque)
     terms += [arm.terms[motor.name] for motor in arm.motors]
     scale = scale_spread(arm, options, question.loaded)
-    names = arm.terms[SCALES].names if SCALES in arm.terms else ()
-    is_odd = np.isin(names, question.odd_joints)
-    scale[is_odd] = np.maximum(scale[is_odd], PER_CENT * usual_errors.WRONG_SCALE)
     if question.known_mass is not None and priors.scale is None:
         # They are what is asked for, and may be as wrong as torque constants are. A prior of
         # sensors held a wrist whose constant was a quarter off at 20 % from the truth, ± 2.5 %.
@@ -340,7 +337,7 @@ def zero_spread(arm: ArmTerms, question: Question) -> Array:
     """Return the prior standard deviation (J,) of each joint's zero [rad]."""
     usual = question.options.priors.zero
     names = arm.terms[ZEROS].names if ZEROS in arm.terms else ()
-    is_odd = np.isin(names, question.odd_joints)
+    is_odd = np.isin(names, question.odd_zeros)
     return 1e-3 * np.where(is_odd, max(usual, usual_errors.WRONG_ZERO), usual)
 
 

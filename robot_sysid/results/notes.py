@@ -133,28 +133,29 @@ def _scale_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
     written = {row.of for row in rows}
     scales = fitted.arm.terms[SCALES]
     wrong = PER_CENT * usual_errors.WRONG_SCALE
-    common = Effect(scales.names, np.full((len(scales.names), 1), wrong))
-    phrases = _unshown(fitted, common, "all joints together")
-    for parameter in scales.parameters:
-        if parameter.of in written and parameter.key not in question.odd_joints:
-            own = Effect((parameter.key,), np.array([[wrong]]))
-            phrases += _unshown(fitted, own, parameter.of)
     is_asked = SCALES in {term.cause for term in fitted.equations.terms}
     is_stated = question.options.priors.scale is not None
-    usual = PER_CENT * usual_errors.SCALE
     # The errors of a payload have those of the torques in them.
-    if phrases and is_asked and not (is_stated or question.loaded):
+    if question.loaded or is_stated or not is_asked:
+        return
+    groups = {"all joints together": scales.names}
+    for parameter in scales.parameters:
+        if parameter.of in written:
+            groups[parameter.of] = (parameter.key,)
+    offers = Offers(fitted)
+    phrases = []
+    for owner, names in groups.items():
+        offer = offers.offer(Effect(names, np.full((len(names), 1), wrong)))
+        error = float(offer.errors[0])
+        if error > UNSHOWN:
+            phrases.append(f"{1.0 + INTERVAL * error:.2f} ({owner})")
+    usual = PER_CENT * usual_errors.SCALE
+    if phrases:
         yield (
             "these logs do not show a torque that reads too much or too little by a factor of up "
             f"to {', '.join(phrases)}: masses, friction and rotor inertia are as right as the "
             f"torques, which their ± take to be right to {percent(usual)} each, by the prior scale"
         )
-
-
-def _unshown(fitted: Fit, effect: Effect, owner: str) -> list[str]:
-    """Return the factor that torque scales may have without a log that shows it; [] for little."""
-    error = float(Offers(fitted).offer(effect).errors[0])
-    return [f"{1.0 + INTERVAL * error:.2f} ({owner})"] * (error > UNSHOWN)
 
 
 def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:

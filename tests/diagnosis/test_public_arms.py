@@ -210,7 +210,7 @@ def test_a_zero_that_centres_of_mass_hide_is_said_with_them_and_their_errors_hol
     (found,) = answer.findings
     assert (found.about, found.level) == (FaultName.ZERO, Level.SAYS)
     assert "joint shoulder_lift reads" in found.text and "; or the" in found.text
-    assert answer.fit.question.odd_joints == ("zero[shoulder_lift]",)
+    assert answer.fit.question.odd_zeros == ("zero[shoulder_lift]",)
     links = {
         each.name: each for each in link_estimates(answer.fit, fit_file(answer.fit))
     }
@@ -218,24 +218,7 @@ def test_a_zero_that_centres_of_mass_hide_is_said_with_them_and_their_errors_hol
     off = forearm.theta - as_real.arm.thetas[2]
     errors = np.sqrt(np.diag(forearm.covariance))
     assert np.all(np.abs(off[1:4]) < 3.0 * errors[1:4])
-    assert judged(as_real.robot, as_real.log).fit.question.odd_joints == ()
-
-
-def test_a_factor_on_a_last_joint_that_friction_hides_is_said_and_errors_hold_it():
-    """Friction of the last joint would be many of its errors off."""
-    robot = load_robot_model(MODELS / ARMS["panda"])
-    truth = draw_arm(robot, "real", True, 20.0, True, 2)
-    last = robot.joint_names[-1]
-    is_last = np.arange(robot.n_joints) == robot.n_joints - 1
-    log = replace(truth.log, tau=truth.log.tau * np.where(is_last, 1.5, 1.0))
-    answer = judged(robot, log)
-    (found,) = answer.findings
-    assert found.about is FaultName.TORQUE_SCALE and f"joint {last} reads" in found.text
-    assert answer.fit.question.odd_joints == (f"scale[{last}]",)
-    name = f"viscous[{last}]"
-    off = answer.fit.by_name[name] - truth.arm.viscous[-1]
-    assert abs(off) < 3.0 * answer.fit.error_of(name)
-    assert judged(robot, truth.log).fit.question.odd_joints == ()
+    assert judged(as_real.robot, as_real.log).fit.question.odd_zeros == ()
 
 
 def test_torque_of_one_joint_that_is_late_is_named(as_real):

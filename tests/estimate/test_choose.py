@@ -368,7 +368,7 @@ def test_the_zero_of_a_joint_that_is_far_off_gets_a_prior_of_its_own(robot, nois
     wrong = replace(noisy, q=noisy.q + [0.0, 0.2, 0.0])
     for log, odd in ((noisy, ()), (wrong, (ZERO.key_of(robot.joint_names[1]),))):
         answer = answer_of(fit_recordings(robot, filter_logs(robot, log)))
-        assert answer.question.odd_joints == odd
+        assert answer.question.odd_zeros == odd
         for name in odd:
             assert abs(answer.by_name[name] - 0.2) < 3.0 * answer.error_of(name)
 
