@@ -566,7 +566,12 @@ MODEL_CAUSES = {
         partial(wrong_units, 1.0, 1e6), (("model",),), INERTIAS
     ),
     "heavy_link": Cause(heavy_link, (("model", "link"),), "probably wrong|contradict"),
-    "sibling": Cause(sibling, (("model", "other arm"),)),
+    # All masses 1.4 times, and all lengths 1.1: a factor on the model's masses, or another size.
+    "sibling": Cause(
+        sibling,
+        (("model", "other arm"),),
+        "those of the model's masses|(larger|smaller) than its model",
+    ),
     "mounted_at_10": Cause(partial(mount, 10.0), (("tilt",),), "tilted|mounted"),
     "mounted_at_45": Cause(partial(mount, 45.0), (("tilt",),), "tilted|mounted"),
     "mounted_at_90": Cause(partial(mount, 90.0), (("tilt",),), "tilted|mounted"),

@@ -850,10 +850,13 @@ def cogging_motor(scene: Scene) -> Scene:
     pulled = size * np.sin(4.0 * scene.motion.q[:, joint])
 
     def edit(spec: Any) -> None:
-        actuator = spec.add_actuator(name="motor")
-        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        actuator.target = scene.robot.joint_names[joint]
-        actuator.set_to_dcmotor([WEAK, WEAK], 1.0, cogging=[size, 4.0, 0.0])
+        # All joints get a motor: the last one has one where others have.
+        for number, name in enumerate(scene.robot.joint_names):
+            actuator = spec.add_actuator(name=f"motor_{name}")
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+            actuator.target = name
+            own = {"cogging": [size, 4.0, 0.0]} if number == joint else {}
+            actuator.set_to_dcmotor([WEAK, WEAK], 1.0, **own)
 
     return edit_model(scene.with_joint_torque(joint, -pulled), edit)
 

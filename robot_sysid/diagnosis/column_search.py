@@ -10,8 +10,9 @@ Throughout, K is the number of rows, n that of joints, J that of joints with equ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain, combinations
 from typing import Any
 
@@ -24,14 +25,16 @@ from robot_sysid.diagnosis.columns import (
     ZERO_STEP,
     Mistake,
     Reading,
+    angle_units,
     is_torque_sign,
     mistakes,
+    time_bases,
     turned_signs,
     zero_of,
     zeros,
 )
 from robot_sysid.diagnosis.fault_columns import INERTIAL, fault_columns
-from robot_sysid.diagnosis.plausibility import fits, model_torque
+from robot_sysid.diagnosis.plausibility import fits, is_foreign, model_torque
 from robot_sysid.diagnosis.reading_scores import ReadingScores, likelihood
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
@@ -87,6 +90,9 @@ RIGHT_ANGLE = np.pi / 2.0
 """[rad]"""
 RATIOS = np.array([0.2, 0.25, 1.0 / 3.0, 0.4, 0.5, 2.0, 2.5, 3.0, 4.0, 5.0])
 """Ratios of usual rates of controllers; loops of 5 ms are taken for ones of 1 ms, hardly more."""
+OTHER_RATE = np.log(1.4)
+"""Logarithm of a factor of time from which on it is another rate: a fault of the table, which says
+what else it may be, names smaller ones."""
 NEAR_RATIO = 0.08
 """Relative distance within which a factor of time is such a ratio: links that are off by 15 % of
 their inertia make as much of it."""
@@ -179,11 +185,6 @@ class ColumnSearch:
         reading = Reading.of(self.arm.robot.n_joints, found)
         return self.scores.score(reading, share)
 
-    def gain_of(self, tried: Iterable[Mistake]) -> float:
-        """Return by how much the log reads better without the likeliest of some mistakes [nats]."""
-        scores = [self.score([each]) for each in tried]
-        return max(scores, default=-np.inf) - self.score([])
-
     def one_by_one(self, tried: Sequence[Mistake], evidence: Evidence) -> list[Mistake]:
         """Return mistakes that each gain alone, of joints that make little torque as well."""
         found: list[Mistake] = []
@@ -230,6 +231,22 @@ class ColumnSearch:
         angle = best.reading.zeros[joint]
         beside = abs(angle - RIGHT_ANGLE * round(angle / RIGHT_ANGLE))
         return [best] if is_clear and beside > np.radians(TURNED) else []
+
+    @cached_property
+    def other_units(self) -> list[Mistake]:
+        """The other unit of positions, or rate of time, with which the log reads best; [] for none.
+
+        Where most joints carry little, the few that do show it in some thousandths of all torque.
+        No rate is tried for torques in another unit: a factor on them is none on their inertia.
+        """
+        robot = self.arm.robot
+        tried = [*angle_units(robot, self.moving)]
+        if not is_foreign(self.fitted):
+            tried += time_bases(robot)
+        scores = [self.score([each], FINE_RESIDUAL) for each in tried]
+        most = max(scores, default=-np.inf)
+        is_clear = most > self.score([], FINE_RESIDUAL) + CLEAR
+        return [tried[scores.index(most)]] if is_clear else []
 
     def _signs(self, tried: Sequence[Mistake]) -> tuple[float, list[Mistake]]:
         """Return the likeliest turned signs of torques, two at least, with their likelihood."""
@@ -347,6 +364,11 @@ def zero_correction(columns: ColumnSearch, evidence: Evidence) -> Iterator[Corre
     yield from correction_of(columns.fitted, columns.best_zero(), 1)
 
 
+def unit_correction(columns: ColumnSearch) -> Iterator[Correction]:
+    """Yield the correction of positions in another unit, or of time, if it gains clearly."""
+    yield from correction_of(columns.fitted, columns.other_units, 1)
+
+
 def column_correction(
     columns: ColumnSearch, evidence: Evidence
 ) -> Iterator[Correction]:
@@ -447,8 +469,8 @@ def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:
         "record the controller's own time stamps, or scale these with a line in "
         f"{option_name('columns', 'FILE')}: time = {factor:.4g} * TITLE",
     )
-    # Beyond these, torque lacks inertia.
-    exists = RATIOS[0] <= factor <= RATIOS[-1]
+    # Beyond these, torque lacks inertia; near one, it is a small change, or a balancer.
+    exists = RATIOS[0] <= factor <= RATIOS[-1] and abs(np.log(factor)) > OTHER_RATE
     return refit(fitted, reading), [finding] if exists else []
 
 

@@ -451,8 +451,9 @@ def of_dragging_brake(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
 
 WHOLE_CLOCK = Fault(
     FaultName.CLOCK,
-    "time in the log is {value} too {long}{balancer}, as the torque of inertia shows beside that "
-    "of gravity",
+    # Inertia grows with the square of lengths, weight with them.
+    "time in the log is {value} too {long}{balancer}, or the arm is {larger} than its model "
+    "(measure from joint to joint), as the torque of inertia shows beside that of gravity",
     "record the controller's own time stamps, or scale these with a line in {columns FILE}: "
     "time = {inverse} * TITLE",
     at_inertia,
@@ -485,16 +486,6 @@ FAULTS = (
         0.15,
         "degrees",
         is_norm=True,
-    ),
-    Fault(
-        FaultName.COMPUTED,
-        "the torque holds the links' weight and lacks {value} of their inertia: it is that of a "
-        "controller's model, or of an arm that is guided by hand",
-        "record the measured joint torque of an arm that its motors move",
-        at_inertia,
-        1.0,
-        "%",
-        sizes=(-1.2, -0.8),
     ),
     WHOLE_CLOCK,
     Fault(

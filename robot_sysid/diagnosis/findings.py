@@ -8,7 +8,7 @@ does not fit: how much is unexplained, at which joints, and what is missing ther
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from robot_sysid.diagnosis import Finding
@@ -18,9 +18,10 @@ from robot_sysid.diagnosis.column_search import (
     Evidence,
     column_correction,
     sign_correction,
+    unit_correction,
     zero_correction,
 )
-from robot_sysid.diagnosis.columns import OF_COLUMNS, angle_units, time_bases
+from robot_sysid.diagnosis.columns import OF_COLUMNS
 from robot_sysid.diagnosis.misfits import (
     delay_findings,
     external_findings,
@@ -28,6 +29,7 @@ from robot_sysid.diagnosis.misfits import (
     misfit,
     model_findings,
     time_findings,
+    weight_alone,
     weight_findings,
 )
 from robot_sysid.diagnosis.plausibility import (
@@ -41,6 +43,7 @@ from robot_sysid.diagnosis.plausibility import (
 from robot_sysid.diagnosis.scales import ScaleCorrections, TorqueScales, odd_unit
 from robot_sysid.diagnosis.scores import Score
 from robot_sysid.diagnosis.search import OF_SCALES, Search, name_faults, search_faults
+from robot_sysid.diagnosis.shares import shares_of
 from robot_sysid.estimate.choose import answer_of
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
@@ -101,9 +104,10 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
         fitted: the fit of the log, with the columns of ``fault_columns``.
         evidence: what is known beside its rows.
     """
+    columns = ColumnSearch(fitted)
     # What class the torque is of comes first: where it is no torque of this arm, it shows no more.
     found = [
-        *external_findings(fitted),
+        *class_findings(fitted, columns),
         *friction_findings(fitted),
         *time_findings(fitted, evidence),
     ]
@@ -115,10 +119,10 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
     # An arm that is compared with its model has played the motion: its columns are those of its
     # motors, and a sign or an order would pass for what has happened to it.
     is_of_model = fitted.question.differing is not None
-    columns = ColumnSearch(fitted)
     if not (is_experiment or is_of_model):
         search = search_or_single(search, columns, evidence, scales)
-    is_fitting = is_read_right(search)
+    # Links and a factor on them take up positions or times in another unit, and fit.
+    is_fitting = is_read_right(search) and not columns.other_units
     if not (is_experiment or is_fitting or is_of_model):
         search = search_or_corrected(search, columns, evidence, scales)
     right = search.start.fit
@@ -149,6 +153,17 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
         scales = ScaleCorrections(right, evidence)
     named += model_findings(search, scales, answer)
     return Found(named, right, answer if search.current is fitted else None)
+
+
+def class_findings(fitted: Fit, columns: ColumnSearch) -> Iterator[Finding]:
+    """Yield the finding that the torque has none of the links' weight, or nothing else of them."""
+    if not fitted.arm.has_gravity or not fitted.arm.others:
+        return
+    shares = shares_of(fitted)
+    yield from external_findings(fitted, shares)
+    # Time that is too short hides inertia as well, all but for a part.
+    if shares.is_weight_alone and not any(unit_correction(columns)):
+        yield weight_alone()
 
 
 def is_like_gravity(score: Score) -> bool:
@@ -230,16 +245,12 @@ def search_or_corrected(
     # A log that one joint's factor explains needs no search for columns, unless another time reads
     # better as well: it makes other inertias, of which a joint without weight has nothing else.
     is_factor = search.explains and named == {FaultName.TORQUE_SCALE}
-    if is_factor:
-        is_factor = columns.gain_of(time_bases(columns.arm.robot)) < CLEAR
     # Nor does one whose torques are in another unit, and fits in the right one, unless positions in
     # another unit read better: of an arm that hardly moves, weight is any factor.
     is_unit = is_foreign(scales.fitted)
     is_right = is_unit and any(fits(each.fit) for each in tried)
-    if is_right:
-        angles = angle_units(columns.arm.robot, columns.moving)
-        is_right = columns.gain_of(angles) < CLEAR
-    if not (is_factor or is_right):
+    tried += unit_correction(columns)
+    if columns.other_units or not (is_factor or is_right):
         tried += column_correction(columns, evidence)
     likely = [each for each in tried if is_likely(each, scales.fitted)]
     best = sorted(likely, key=lambda each: -each.gain)

@@ -28,7 +28,7 @@ from robot_sysid.diagnosis.plausibility import (
 )
 from robot_sysid.diagnosis.scales import ScaleCorrections, little_weight, torque_scales
 from robot_sysid.diagnosis.search import Search
-from robot_sysid.diagnosis.shares import LOST, shares_of
+from robot_sysid.diagnosis.shares import LOST, Shares
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.choose import (
     centre_off_model,
@@ -362,14 +362,11 @@ def missing_torque(fitted: Fit, joint: int) -> str:
     return f"{name} has {', '.join(parts)}"
 
 
-def external_findings(fitted: Fit) -> Iterator[Finding]:
+def external_findings(fitted: Fit, shares: Shares) -> Iterator[Finding]:
     """Yield the finding that the links' weight has gone from the torque, which something explains.
 
     It is asked before masses may move: links without mass would fit it.
     """
-    if not fitted.arm.has_gravity or not fitted.arm.others:
-        return
-    shares = shares_of(fitted)
     # Torque that has inertia may be right: in a short motion a last link can stand for all weight.
     if not shares.has_no_weight or shares.has_inertia:
         return
@@ -384,6 +381,17 @@ def external_findings(fitted: Fit) -> Iterator[Finding]:
         "and what hangs on the flange alone"
     )
     yield Finding(Level.REFUSES, FaultName.GRAVITY, text, MEASURED)
+
+
+def weight_alone() -> Finding:
+    """Return the finding that the torque has the links' weight and no inertia."""
+    return Finding(
+        Level.DOUBTS,
+        FaultName.COMPUTED,
+        "the torque holds the links' weight and none of their inertia: it is that of a "
+        "controller's model, or of an arm that is guided by hand",
+        "record the measured joint torque of an arm that its motors move",
+    )
 
 
 def weight_findings(fitted: Fit) -> Iterator[Finding]:

@@ -363,11 +363,13 @@ class ScaleCorrections:
     def alone(self) -> Correction | None:
         """The correction of the torque of one joint, where it alone is off; else None."""
         fitted, alone = self.fitted, self.scales.alone
-        # Where all torques are in another unit, as of currents, each motor has a constant.
-        is_unit = abs(np.log(self.scales.common[0])) > np.log(SENSOR)
-        if alone is None or is_unit:
+        if alone is None:
             return None
         joint, scale, error = alone
+        # Where all torques are in another unit, as of currents, each motor has a constant.
+        others = self.scales.values[joint] / scale
+        if abs(np.log(others)) > np.log(SENSOR):
+            return None
         factors = np.ones(len(self.scales.values))
         factors[joint] = 1.0 / scale
         after = refit(fitted, torque_reading(fitted.arm, factors))

@@ -48,6 +48,7 @@ BY_SIGN = {
     "heavier": ("heavier", "lighter"),
     "long": ("long", "short"),
     "balancer": (", or a balancer carries a part of the weight", ""),
+    "larger": ("larger", "smaller"),
     "opposite": ("", ", with the opposite sign"),
 }
 """Word of a text to what it is for a positive number and for a negative one."""

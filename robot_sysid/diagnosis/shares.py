@@ -28,6 +28,9 @@ from robot_sysid.records.parameters import Parameter
 LOST = 1.0 / 3.0
 """Share of the links' weight below which a joint has lost it. Arms whose links are off by 20 %, one
 of them by 40 %, have 0.53 at least."""
+NO_INERTIA = 0.15
+"""Share of the links' inertia below which a torque has none. Time stamps that are half as far apart
+as they were leave 0.25 of it, links that are off by 20 % a fifth less."""
 OTHERWISE = 0.25
 """Torque of the share of weight that is left, over the joint's torque, below which something else
 makes the torque: in another unit, weight makes as much of it as in newton metres."""
@@ -64,16 +67,44 @@ class Shares:
     def has_no_weight(self) -> bool:
         """Whether the links' weight has gone from all joints that it says something of."""
         own = self.is_weighed
-        most = np.abs(self.weight) + INTERVAL * self.weight_errors
+        most = np.abs(self.weight) + self.weight_errors
         is_small = np.abs(self.weight) * self.torque < OTHERWISE * self.measured
         is_lost = (most < LOST) & is_small
-        return bool(np.any(own) and np.all(is_lost[own]) and self.left < MOST_LEFT)
+        share, error = average(self.weight[own], self.weight_errors[own])
+        is_clear = abs(share) + INTERVAL * error < LOST and self.left < MOST_LEFT
+        return bool(np.any(own) and np.all(is_lost[own]) and is_clear)
 
     @property
     def has_inertia(self) -> bool:
         """Whether the torque of the links' inertia is rather there than not."""
-        weights = self.inertia_errors**-2.0
-        return bool(np.sum(weights * self.inertia) > 0.5 * np.sum(weights))
+        share, _ = self.all_inertia
+        return share > 0.5
+
+    @property
+    def all_inertia(self) -> tuple[float, float]:
+        """(Share of the torque of inertia, its standard error), of all joints together."""
+        return average(self.inertia, self.inertia_errors)
+
+    @property
+    def is_weight_alone(self) -> bool:
+        """Whether the links' weight is there, and their inertia has gone.
+
+        Where a last link takes it up that is free, there is less than none.
+        """
+        own = self.is_weighed
+        is_there = np.any(own) and np.all(self.weight[own] > LOST)
+        share, error = self.all_inertia
+        is_gone = share + INTERVAL * error < NO_INERTIA
+        return bool(is_there and is_gone and self.left < MOST_LEFT)
+
+
+def average(values: Array, errors: Array) -> tuple[float, float]:
+    """Return the average of values (m,) by their standard errors (m,), and its error."""
+    weights = errors**-2.0
+    total = float(np.sum(weights))
+    if not total > 0.0:
+        return 0.0, np.inf
+    return float(np.sum(weights * values)) / total, total**-0.5
 
 
 def shares_of(fitted: Fit) -> Shares:

@@ -9,6 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from rigs.arms.drawn_models import drawn_model
+from rigs.arms.small_arms import robot_of
 from rigs.arms.wrong_arms import link_torque, resting_torque, truth_of
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
 from tests.diagnosis.conftest import findings_of, found_in, slow
@@ -96,6 +98,7 @@ faults, on public arms, see benchmarks/trust/confusion.py."""
 CLOCK = "clock: too long, or a balancer carries a part of the weight"
 HALVED = "clock: time in the log is 0.5 times as long as it was"
 DOUBLED = "clock: time in the log is 2 times as long as it was"
+RADIANS = "angle-unit: positions look like radians that were taken for degrees"
 SAMPLES = {
     "order": lambda log: {
         name: vars(log)[name][:, ::-1] for name in ("q", "qd", "tau")
@@ -217,3 +220,33 @@ def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(
     scales = 1.0 + scale * np.array([1.0, -1.0, 1.0, -1.0])
     findings = found_in(truth, tau=(truth.log.tau + torque) * scales)
     assert {finding.about for finding in findings} <= {"torque-scale", "tilt"}, findings
+
+
+@cache
+def drawn_log(seed):
+    """Return (model, log) of an arm that is drawn at random, its links off by a tenth."""
+    robot = robot_of(drawn_model(np.random.default_rng(seed)))
+    return robot, replace(truth_of(robot, seed, 0.1).log, qd=None)
+
+
+OTHERWISE = {
+    DOUBLED: lambda log: {"time": 2.0 * log.time},
+    HALVED: lambda log: {"time": 0.5 * log.time},
+    RADIANS: lambda log: {"q": np.radians(log.q)},
+}
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        (2, DOUBLED),
+        *slow((3, HALVED), (3, DOUBLED), (2, HALVED), (2, RADIANS), (3, RADIANS)),
+    ],
+)
+def test_a_wrong_time_or_unit_shows_in_an_arm_whose_links_take_it_up(case):
+    """Such a log fits: most joints hardly have inertia, or weight, of which it would take away."""
+    seed, name = case
+    robot, log = drawn_log(seed)
+    assert findings_of(robot, log) == ()
+    (found,) = findings_of(robot, replace(log, **OTHERWISE[name](log)))
+    assert f"{found.about}: {found.text}".startswith(name)

@@ -51,6 +51,15 @@ def test_a_tool_hides_a_factor_below_one_from_weights_alone():
     assert not scales_of(1.0 / 0.65, [1.0, 1.0 / 0.95]).is_odd
 
 
+@pytest.mark.parametrize(("others", "named"), [(0.85, 1), (0.45, 0)])
+def test_one_joint_is_blamed_unless_all_are_in_another_unit(four_joints, others, named):
+    """The arm may weigh less than its model, or the others have a factor as well."""
+    factors = others * np.array([1.0, 0.5, 1.0, 1.0])
+    found = found_in(four_joints, tau=factors * four_joints.log.tau)
+    alone = "torque of joint joint1 reads"
+    assert sum(each.text.startswith(alone) for each in found) == named
+
+
 @pytest.mark.parametrize(
     ("factor", "level"), [(1.0, None), (0.78, Level.SAYS), (0.6, Level.REFUSES)]
 )
