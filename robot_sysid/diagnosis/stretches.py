@@ -23,6 +23,9 @@ from robot_sysid.signals.frozen import Stretch, equal_runs, frozen_positions, tr
 
 MANY_VALUES = 100
 """Number of different values below which a channel has coarse steps, which repeat by chance."""
+ROUNDED = 1.5
+"""Steps of a channel by which it has to jump, before or after it repeated a value: torque that
+changes slowly stays on one step, and goes on to the next."""
 SLOWEST = 0.05
 """Speed that at least one joint of a moving arm reaches [rad/s]."""
 STANDING = 0.005
@@ -50,10 +53,15 @@ def held_torques(
     ``q`` (N,) are the joint's positions: one that friction holds may have the same torque all the
     time while other joints move.
     """
-    if len(np.unique(tau)) < MANY_VALUES:
+    values = np.unique(tau)
+    if len(values) < MANY_VALUES:
         return
-    ends = np.min(tau), np.max(tau)
+    ends = values[0], values[-1]
+    least = ROUNDED * np.min(np.diff(values))
+    changes = np.abs(np.diff(tau, prepend=tau[0], append=tau[-1]))
     for rows in equal_runs(piece.time, tau):
+        if max(changes[rows.start], changes[rows.stop]) < least:
+            continue
         # The range of positions counts: an arm may return to where it was.
         length = min(float(np.ptp(piece.time[rows])), 1.0)
         stands = np.ptp(q[rows]) < STANDING * length

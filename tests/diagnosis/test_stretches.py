@@ -13,10 +13,10 @@ import robot_sysid
 from rigs.arms import small_arms
 from rigs.arms.motions import sampled, smooth_step
 from rigs.logs.log_files import JOINTS
-from robot_sysid.diagnosis.stretches import failed_sensors, leave_out
+from robot_sysid.diagnosis.stretches import MANY_VALUES, failed_sensors, leave_out
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
-from robot_sysid.signals.frozen import Stretch
+from robot_sysid.signals.frozen import Stretch, equal_runs
 from tests.diagnosis.conftest import (
     FOUR_AXES,
     JOINT,
@@ -210,3 +210,18 @@ def test_an_identification_uses_the_rest_and_carries_the_note(four_joints, tmp_p
     assert any("touched the arm" in remark.text for remark in result.remarks)
     error = result.theta[0] - four_joints.theta[0]
     assert abs(error) < 2.0 * result.standard_errors["m"]
+
+
+def test_a_torque_in_many_steps_that_changes_slowly_is_no_failed_sensor():
+    """It stays on one step where it turns, and goes on to the next; a sensor that failed jumps."""
+    step = 0.02
+    slow = replace(SAMPLES, time=10.0 * SAMPLES.time)
+    coarse = replace(slow, tau=np.round(slow.tau / step) * step)
+    column = coarse.tau[:, 0]
+    assert len(np.unique(column)) >= MANY_VALUES
+    assert [*equal_runs(coarse.time, column)]
+    assert [*failed_sensors([coarse])] == []
+    held = coarse.tau.copy()
+    held[600:760, 0] = held[600, 0]
+    (stretch,) = failed_sensors([replace(coarse, tau=held)])
+    assert stretch.joints.tolist() == [True, False, False]
