@@ -613,10 +613,11 @@ class Promise:
     def limits(self) -> Iterator[str]:
         """Yield sentences on where the promise does not hold."""
         fitted = self._fitted
-        for joint in self.still:
+        if self.still:
             yield (
-                f"{joint} stood still: the error on other motions takes its friction to be as far "
-                "off the model's as that of other joints, and its rotor to be the model's"
+                f"{', '.join(self.still)} stood still: the error on other motions takes friction "
+                "there to be as far off the model's as that of other joints, and rotors to be the "
+                "model's"
             )
         is_fast = self._highest > FASTER * np.maximum(self._of_log, SLOWEST)
         moved = [name not in self.still for name in self._robot.joint_names]

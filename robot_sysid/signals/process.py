@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.records import Array, Motion, Recording, RobotModel
-from robot_sysid.records.messages import Detail, percent, position_unit
+from robot_sysid.records.messages import Detail, count_text, percent, position_unit
 from robot_sysid.signals.cutoff import CutoffChoice, choose_cutoff
 from robot_sysid.signals.filters import REACH, LowPass, derivatives, design_low_pass
 from robot_sysid.signals.frozen import Stretch, equal_runs
@@ -356,14 +356,18 @@ def _notes(
         yield note if missing > NOTED_LOSS else Detail(note)
     usable = np.count_nonzero(filtered.is_moving, axis=0)
     shares = usable / max(np.count_nonzero(filtered.is_complete), 1)
+    slow: dict[tuple[str, str], list[str]] = {}
     for joint, name in enumerate(robot.joint_names):
         if shares[joint] < NOTED_SLOWNESS:
             unit = position_unit(robot.is_slide[joint])
-            yield (
-                f"only {percent(shares[joint])} of the rows of joint {name} are used: in the "
-                f"others it is slower than {filtered.deadband[joint]:.2g} {unit}/s, where the "
-                "direction of friction is not sure"
-            )
+            speed = f"{filtered.deadband[joint]:.2g} {unit}/s"
+            slow.setdefault((percent(shares[joint]), speed), []).append(name)
+    for (share, speed), names in slow.items():
+        yield (
+            f"only {share} of the rows of {count_text(len(names), 'joint')} are used "
+            f"({', '.join(names)}): in the others the speed is below {speed}, where the direction "
+            "of friction is not sure"
+        )
 
 
 def travel_from_turns(readings: Array, q: Array, qd: Array) -> Array:

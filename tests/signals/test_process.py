@@ -93,7 +93,8 @@ def test_a_joint_at_rest_is_masked_and_named():
     )
     assert not np.any(signals.is_used[:, 1])
     assert np.mean(signals.is_used[:, 0]) > 0.9
-    (note,) = [n for n in signals.notes if "only 0 % of the rows of joint b" in n]
+    (note,) = [n for n in signals.notes if "only 0 % of the rows" in n]
+    assert "1 joint are used (b)" in note
     assert "m/s, where the direction" in note and "rad" not in note
 
 
