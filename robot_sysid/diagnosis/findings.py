@@ -28,6 +28,7 @@ from robot_sysid.diagnosis.misfits import (
     friction_findings,
     misfit,
     model_findings,
+    own_findings,
     time_findings,
     weight_alone,
     weight_findings,
@@ -151,7 +152,7 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
     answer = answer_of(search.current)
     if right is not fitted:
         scales = ScaleCorrections(right, evidence)
-    named += model_findings(search, scales, answer)
+    named += [*model_findings(search, scales, answer), *own_findings(right)]
     return Found(named, right, answer if search.current is fitted else None)
 
 

@@ -454,3 +454,22 @@ def friction_findings(fitted: Fit) -> Iterator[Finding]:
     if left < OWN_MODEL:
         text += f"; this model's links but the last, as they are, leave {percent(left)} of it"
     yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)
+
+
+def own_findings(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that the torque is the model's own, its friction as well.
+
+    An arm that is simulated with its model looks the same, so that it is no doubt.
+    """
+    if fitted.question.loaded or fitted.question.differing is not None:
+        return
+    left = model_misfit(fitted, ())
+    if left < OWN_MODEL:
+        yield Finding(
+            Level.SAYS,
+            FaultName.COMPUTED,
+            f"the torque is that of this model, its friction as well ({percent(left)} is left): it "
+            "was simulated with the model, or computed by a controller that has it, and shows what "
+            "the model says, not what the arm is",
+            MEASURED,
+        )

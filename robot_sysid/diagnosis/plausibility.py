@@ -169,12 +169,16 @@ def friction_share(fitted: Fit) -> tuple[float, float, float]:
     return share, float(np.sqrt(variance)), float(distance)
 
 
-def model_misfit(fitted: Fit) -> float:
+FRICTION_TERMS = (COULOMB.name, VISCOUS.name, OFFSET.name)
+"""What joints have beside links, where links are compared with the model's."""
+
+
+def model_misfit(fitted: Fit, free: Sequence[str] = FRICTION_TERMS) -> float:
     """Return the share of all torque that is left where all links but the last are the model's.
 
-    The last one, and each joint's friction, are free.
+    The last one is free, and so is each joint's friction; with () for ``free`` it is the model's.
     """
-    keys = (LAST_LINK, PAYLOAD, COULOMB.name, VISCOUS.name, OFFSET.name)
+    keys = (LAST_LINK, PAYLOAD, *free)
     terms = [fitted.arm.terms[key] for key in keys if key in fitted.arm.terms]
     after = fitted.fit(terms, None, fitted.noise, fitted.correlation, possible=False)
     squares = after.equations.squared_residuals(after.free)

@@ -11,7 +11,8 @@ from rigs.arms.synthetic_data import autocorrelated
 from rigs.arms.wrong_arms import MEMORY, link_torque
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.gate import judge
-from robot_sysid.diagnosis.shares import shares_of
+from robot_sysid.diagnosis.shares import average, shares_of
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
@@ -95,8 +96,26 @@ def test_noise_with_a_memory_does_not_hide_that_there_is_no_friction(
     assert found[0].level is Level.DOUBTS and text in found[0].text
 
 
+@pytest.mark.parametrize("times", [1.0, 1.3])
+def test_torque_of_the_model_and_its_friction_is_called_its_own(four_joints, times):
+    """Links that are all heavier than the model's are an arm's, whatever its friction is."""
+    robot = four_joints.robot
+    links = link_torque(robot, four_joints.motion, robot.thetas)
+    tau = ArmDynamics(robot)(four_joints.motion) + (times - 1.0) * links
+    found = found_in(four_joints, **coloured(four_joints, tau, 0.003))
+    named = [each for each in found if each.about is FaultName.COMPUTED]
+    assert [each.level for each in named] == [Level.SAYS] * (times == 1.0)
+    assert all("its friction as well" in each.text for each in named)
+
+
 def test_as_much_noise_makes_no_measured_torque_a_computed_one(four_joints):
     """A tenth of the usual friction is what sensors behind gears see."""
     little = 0.1 * four_joints.friction + four_joints.rigid
     found = found_in(four_joints, **coloured(four_joints, little, 0.01))
     assert FaultName.COMPUTED not in [each.about for each in found]
+
+
+def test_an_average_has_the_error_of_all_and_none_the_error_of_nothing():
+    value, error = average(np.array([0.0, 1.0]), np.array([1.0, 0.5]))
+    assert (value, error) == pytest.approx((0.8, 0.2**0.5))
+    assert average(np.array([3.0]), np.array([np.inf])) == (0.0, np.inf)
