@@ -429,8 +429,8 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
             "to fit this log, links would lose most of their mass: "
             f"{arm.robot.links[link].body_name} would have {max(found[link], 0.0):.3g} kg, and has "
             f"{masses[link]:.3g} kg in the model: the torque lacks their weight, as external "
-            "torque does",
-            MEASURED,
+            "torque does, or it is the model of another arm",
+            f"{MEASURED}, and {RIGHT_MODEL}",
         )
 
 
