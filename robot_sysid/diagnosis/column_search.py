@@ -26,6 +26,7 @@ from robot_sysid.diagnosis.columns import (
     Mistake,
     Reading,
     angle_units,
+    gear_ratios,
     is_torque_sign,
     mistakes,
     time_bases,
@@ -240,7 +241,7 @@ class ColumnSearch:
         No rate is tried for torques in another unit: a factor on them is none on their inertia.
         """
         robot = self.arm.robot
-        tried = [*angle_units(robot, self.moving)]
+        tried = [*angle_units(robot, self.moving), *gear_ratios(robot, self.moving)]
         if not is_foreign(self.fitted):
             tried += time_bases(robot)
         scores = [self.score([each], FINE_RESIDUAL) for each in tried]

@@ -30,6 +30,9 @@ _TURNS = tuple(np.radians((90.0, -90.0, 180.0)).tolist())
 """Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
 _TIMES = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
 """Factors of time that are tried; the one that is right is found from the nearest."""
+_GEARS = ((2.0, "half"), (0.5, "twice"))
+"""Factors that put positions right, and how much they read: a gear, or an encoder before it, that
+the recorder counts once too often, or not at all."""
 ZERO_STEP = np.radians(30.0)
 """Step of the angles of a zero that are tried first: one that is off by half a step reads better
 with it than with none."""
@@ -244,6 +247,20 @@ def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
                 f"the position of joint {robot.joint_names[joint]} looks like degrees",
                 replace(none, position=np.diag(scale)),
             )
+
+
+def gear_ratios(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield positions of one joint that are half or twice as large as it moves, as of a gear."""
+    none = Reading.of(robot.n_joints)
+    for joint, (factor, size) in product(moving, _GEARS):
+        scale = np.ones(robot.n_joints)
+        scale[joint] = factor
+        yield Mistake(
+            FaultName.ANGLE_UNIT,
+            f"the position of joint {robot.joint_names[joint]} reads {size} as much as it moves, "
+            "as of another gear ratio",
+            replace(none, position=np.diag(scale)),
+        )
 
 
 def zeros(

@@ -99,7 +99,9 @@ CLOCK = "clock: too long, or a balancer carries a part of the weight"
 HALVED = "clock: time in the log is 0.5 times as long as it was"
 DOUBLED = "clock: time in the log is 2 times as long as it was"
 RADIANS = "angle-unit: positions look like radians that were taken for degrees"
+GEAR = "angle-unit: joint joint1 reads half as much as it moves"
 SAMPLES = {
+    GEAR: lambda log: {"q": log.q * [1.0, 0.5, 1.0, 1.0], "qd": None},
     "order": lambda log: {
         name: vars(log)[name][:, ::-1] for name in ("q", "qd", "tau")
     },
@@ -174,6 +176,12 @@ def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instan
     assert number_after("from about", text) == pytest.approx(instant, abs=0.1)
 
 
+def correct_positions(log, finding):
+    """Return a log with its positions corrected as the finding says."""
+    order, factors = zip(*finding.correction.position)
+    return replace(log, q=log.q[:, list(order)] * factors)
+
+
 def with_right_time(log, finding):
     """Return a log whose time is scaled as the finding says."""
     return replace(log, time=number_after("time =", finding.remedy) * log.time)
@@ -187,6 +195,7 @@ REMEDIES = {
         log,
         tau=log.tau / (0.5 * np.array(finding.options[0][1].split(","), dtype=float)),
     ),
+    GEAR: correct_positions,
     "sign": correct_torques,
     "angle-unit": lambda log, _: replace(
         log, q=np.radians(log.q), qd=np.radians(log.qd)
