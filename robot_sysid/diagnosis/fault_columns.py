@@ -57,7 +57,8 @@ def fault_columns(fitted: Fit) -> list[Term]:
     def columns(rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 26): each fault's own, in the order of the names."""
         moves = rows.at_rest(robot, point.gravity)
-        others = robot.thetas
+        # Bodies that stand for placeholders of the model are those of the view of weight.
+        others = np.stack([link.reference for link in robot.links])
         others[-1] = 0.0
         weight = moves.torque(point.carried_links(rows.is_loaded))[:, arm.indices]
         torque = arm.links_torque(rows, point)

@@ -20,6 +20,7 @@ from robot_sysid.diagnosis.plausibility import LEAST_WEIGHED
 from robot_sysid.diagnosis.scores import in_sums_alone
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.fit import Fit, Problem
+from robot_sysid.estimate.links import reference_links
 from robot_sysid.estimate.terms import LAST_LINK, PAYLOAD, Term
 from robot_sysid.records import Array
 from robot_sysid.records.levels import INTERVAL
@@ -128,7 +129,7 @@ def shares_of(fitted: Fit) -> Shares:
     mix = np.zeros((count, len(sums.names), len(kept) + 2 * count))
     mix[:, sums.at(kept), np.arange(len(kept))] = 1.0
     others = [name for link in arm.others for name in arm.links[link]]
-    values = [arm.model[name] for name in others]
+    values = reference_links(arm.robot, arm.others)
     for joint in range(count):
         weight = len(kept) + joint
         mix[joint, sums.at([OTHER_WEIGHT]), weight] = 1.0

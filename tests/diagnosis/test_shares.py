@@ -16,6 +16,7 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
+from robot_sysid.records.arm import KINDS
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress
 from robot_sysid.signals.process import low_pass_recordings
@@ -56,6 +57,22 @@ def test_shares_are_in_proportion_to_the_torque(four_joints):
     small = shares(four_joints, 0.01 * four_joints.log.tau)
     assert small.weight[own] == pytest.approx(0.01 * right.weight[own], rel=0.01)
     assert not right.has_no_weight and not small.has_no_weight
+
+
+def test_placeholders_of_inertia_hide_no_weight(four_joints):
+    """The bodies that stand for them count; 1 kg m^2 at each link would take up all torque."""
+    robot = four_joints.robot
+    more = np.repeat([0.0, 1.0, 0.0], (4, 3, 3))
+    links = [
+        replace(link, theta=link.theta + more, placeholders=KINDS[2:])
+        for link in robot.links
+    ]
+    arm = replace(four_joints.arm, robot=replace(robot, links=tuple(links)))
+    vague = replace(four_joints, arm=arm)
+    right = shares(four_joints, four_joints.log.tau)
+    found = shares(vague, four_joints.log.tau)
+    assert found.weight == pytest.approx(right.weight, abs=0.01)
+    assert found.has_inertia and not found.has_no_weight
 
 
 @pytest.mark.parametrize("times", [1.0, 3.0])
