@@ -36,6 +36,8 @@ OTHERWISE = 0.25
 """Torque of the share of weight that is left, over the joint's torque, below which something else
 makes the torque: in another unit, weight makes as much of it as in newton metres."""
 
+LINKS_OFF = 0.2
+"""Share by which the links that a joint carries may be off the model's."""
 MOST_LEFT = 0.15
 """Share of all torque that may be left unexplained: columns that are exchanged or turned have no
 weight of the links either, and leave most. External torque leaves 0.05, its friction's shape."""
@@ -48,7 +50,7 @@ class Shares:
     Attributes:
         weight: (J,) share of the model's weight torque.
         inertia: (J,) share of the torque of its inertia.
-        weight_errors, inertia_errors: (J,) their standard errors.
+        weight_covariance, inertia_covariance: (J, J) theirs; infinite where a joint shows none.
         torque: (J,) root mean square torque of the model's weight [N m].
         measured: (J,) that of the log [N m].
         is_weighed: (J,) at which joints the weight says something.
@@ -57,8 +59,8 @@ class Shares:
 
     weight: Array
     inertia: Array
-    weight_errors: Array
-    inertia_errors: Array
+    weight_covariance: Array
+    inertia_covariance: Array
     torque: Array
     measured: Array
     is_weighed: NDArray[np.bool_]
@@ -68,11 +70,11 @@ class Shares:
     def has_no_weight(self) -> bool:
         """Whether the links' weight has gone from all joints that it says something of."""
         own = self.is_weighed
-        most = np.abs(self.weight) + self.weight_errors
+        most = np.abs(self.weight) + np.sqrt(np.diag(self.weight_covariance))
         is_small = np.abs(self.weight) * self.torque < OTHERWISE * self.measured
         is_lost = (most < LOST) & is_small
-        share, error = average(self.weight[own], self.weight_errors[own])
-        is_clear = abs(share) + INTERVAL * error < LOST and self.left < MOST_LEFT
+        share, error = self.all_weight
+        is_clear = abs(share) + error < LOST and self.left < MOST_LEFT
         return bool(np.any(own) and np.all(is_lost[own]) and is_clear)
 
     @property
@@ -82,9 +84,14 @@ class Shares:
         return share > 0.5
 
     @property
+    def all_weight(self) -> tuple[float, float]:
+        """(Share of the torque of weight, its standard error), of all joints together."""
+        return common_share(self.weight, self.weight_covariance)
+
+    @property
     def all_inertia(self) -> tuple[float, float]:
         """(Share of the torque of inertia, its standard error), of all joints together."""
-        return average(self.inertia, self.inertia_errors)
+        return common_share(self.inertia, self.inertia_covariance)
 
     @property
     def is_weight_alone(self) -> bool:
@@ -99,13 +106,21 @@ class Shares:
         return bool(is_there and is_gone and self.left < MOST_LEFT)
 
 
-def average(values: Array, errors: Array) -> tuple[float, float]:
-    """Return the average of values (m,) by their standard errors (m,), and its error."""
-    weights = errors**-2.0
-    total = float(np.sum(weights))
-    if not total > 0.0:
+def common_share(shares: Array, covariance: Array) -> tuple[float, float]:
+    """Return what joints' shares (J,) have in common by generalized least squares, and its error.
+
+    A last link of another mass changes the shares of all joints: one of many times the weight at a
+    wrist says that the shoulder has some. Links that are off weigh the joints alike, but are no
+    error of torque that has none of them.
+    """
+    known = np.isfinite(np.diag(covariance))
+    count = int(np.sum(known))
+    if not count:
         return 0.0, np.inf
-    return float(np.sum(weights * values)) / total, total**-0.5
+    own = covariance[np.ix_(known, known)]
+    weights = np.linalg.solve(own + LINKS_OFF**2 * np.eye(count), np.ones(count))
+    weights /= np.sum(weights)
+    return float(weights @ shares[known]), float(np.sqrt(weights @ own @ weights))
 
 
 def shares_of(fitted: Fit) -> Shares:
@@ -143,8 +158,12 @@ def shares_of(fitted: Fit) -> Shares:
     view = problem.fit(
         [*free, *friction, shares], correlation=fitted.correlation, possible=False
     )
-    known = dict(zip(view.names, zip(view.free, np.sqrt(np.diag(view.inverse)))))
-    found = np.array([known.get(name, (0.0, np.inf)) for name in names])
+    found = np.zeros(len(names))
+    covariance = np.diag(np.full(len(names), np.inf))
+    shown = [k for k, name in enumerate(names) if name in view.names]
+    at = view.at([names[k] for k in shown])
+    found[shown] = view.free[at]
+    covariance[np.ix_(shown, shown)] = view.inverse[np.ix_(at, at)]
     torque = np.sqrt(mixed.squares[:, len(kept) : -count] / mixed.row_counts[:, None])
     torque = np.diag(torque)
     squares = view.equations.squared_residuals(view.free)
@@ -152,10 +171,10 @@ def shares_of(fitted: Fit) -> Shares:
     is_slide = arm.robot.is_slide[arm.indices]
     is_compared = ~is_slide | np.all(is_slide)
     return Shares(
-        found[:count, 0],
-        found[count:, 0],
-        found[:count, 1],
-        found[count:, 1],
+        found[:count],
+        found[count:],
+        covariance[:count, :count],
+        covariance[count:, count:],
         torque,
         sums.rms_torque,
         is_compared & (torque > LEAST_WEIGHED * np.max(torque[is_compared])),

@@ -11,7 +11,7 @@ from rigs.arms.synthetic_data import autocorrelated
 from rigs.arms.wrong_arms import MEMORY, link_torque
 from robot_sysid.diagnosis.fault_columns import fault_columns
 from robot_sysid.diagnosis.gate import judge
-from robot_sysid.diagnosis.shares import average, shares_of
+from robot_sysid.diagnosis.shares import common_share, shares_of
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
@@ -132,7 +132,13 @@ def test_as_much_noise_makes_no_measured_torque_a_computed_one(four_joints):
     assert FaultName.COMPUTED not in [each.about for each in found]
 
 
-def test_an_average_has_the_error_of_all_and_none_the_error_of_nothing():
-    value, error = average(np.array([0.0, 1.0]), np.array([1.0, 0.5]))
-    assert (value, error) == pytest.approx((0.8, 0.2**0.5))
-    assert average(np.array([3.0]), np.array([np.inf])) == (0.0, np.inf)
+def test_what_shares_have_in_common_is_that_without_what_a_last_link_changes():
+    """Two joints whose shares a last link raises and lowers: where one is zero, the other is not."""
+    apart = np.array([1.0, -4.0])
+    noise = 0.01**2 * np.eye(2)
+    covariance = np.outer(apart, apart) + noise
+    share, error = common_share(0.8 + 0.2 * apart, covariance)
+    assert share == pytest.approx(0.8, abs=0.02) and error < 0.05
+    shows = np.diag([0.01**2, np.inf])
+    assert common_share(np.array([0.3, 9.0]), shows) == pytest.approx((0.3, 0.01))
+    assert common_share(np.zeros(1), np.diag([np.inf])) == (0.0, np.inf)
