@@ -162,7 +162,7 @@ def class_findings(fitted: Fit, columns: ColumnSearch) -> Iterator[Finding]:
         return
     shares = shares_of(fitted)
     yield from external_findings(fitted, shares)
-    # A view in which inertia may be gone leaves less than links that have to have some. Time that is
+    # Where inertia has gone, the view leaves less than links that have to have some. Time that is
     # too short hides inertia as well, all but for a part.
     is_less = shares.left < CLEARLY_LESS * fitted.unexplained_share
     if shares.is_weight_alone and is_less and not any(unit_correction(columns)):
