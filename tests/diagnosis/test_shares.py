@@ -133,7 +133,7 @@ def test_as_much_noise_makes_no_measured_torque_a_computed_one(four_joints):
 
 
 def test_what_shares_have_in_common_is_that_without_what_a_last_link_changes():
-    """A last link raises the share of one joint and lowers the other's, and so says what both are."""
+    """A last link raises one joint's share, lowers another's, and so says what both are."""
     apart = np.array([1.0, -4.0])
     noise = 0.01**2 * np.eye(2)
     covariance = np.outer(apart, apart) + noise
