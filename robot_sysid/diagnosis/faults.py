@@ -56,6 +56,9 @@ STEP_PRIOR = (0.05, 0.1)
 """A load that is picked up: its mass as a share of the arm's, its size as one of the arm's length.
 The heaviest tool that arms may carry is a tenth to a half of their mass."""
 
+DRY_AND_VISCOUS = (COULOMB.name, VISCOUS.name)
+"""Friction of every fit."""
+
 Words = Mapping[str, str]
 
 
@@ -308,11 +311,20 @@ def of_delay(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
 
 
 def of_drifting_scales(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
-    """Yield a torque scale that changes over a log, of each joint and of all, as a share."""
-    scales = fitted.arm.terms[SCALES].names
+    """Yield a torque scale that changes over a log, of each joint and of all, as a share.
+
+    What a motor or its sensor reads has the joint's friction in it, as well as its links.
+    """
+    terms = fitted.arm.terms
+    scales = terms[SCALES].names
+    friction = [terms[key].names for key in DRY_AND_VISCOUS if key in terms]
     for owner, joint in owners(fitted).items():
-        names = scales if joint is None else scales[joint : joint + 1]
-        drift = common_effect(names, fault.prior, joint, along(fitted))
+        which = slice(None) if joint is None else slice(joint, joint + 1)
+        rubbing = [name for names in friction for name in names[which]]
+        sizes = [fitted.by_name.get(name, 0.0) for name in rubbing]
+        names = (*scales[which], *rubbing)
+        factor = fault.prior * np.append(np.ones(len(scales[which])), sizes)
+        drift = Effect(names, factor[:, None], joint, along(fitted))
         yield Explanation(fault, drift, {"owner": owner})
 
 
@@ -337,7 +349,7 @@ def friction_change(
     """Yield dry and viscous friction of all joints, changed by shares (B,) of it in each block."""
     terms = fitted.arm.terms
     if COULOMB.name in terms:
-        names = terms[COULOMB.name].names + terms[VISCOUS.name].names
+        names = [name for key in DRY_AND_VISCOUS for name in terms[key].names]
         spread = fault.prior * np.abs([fitted.by_name[name] for name in names])
         yield Explanation(fault, effect(names, spread, None, shares))
 
