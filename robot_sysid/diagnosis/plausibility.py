@@ -15,7 +15,7 @@ from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.terms import FURTHER_FRICTION, LAST_LINK, LINKS, PAYLOAD
+from robot_sysid.estimate.terms import FURTHER_FRICTION, LAST_LINK, LINKS, PAYLOAD, Term
 from robot_sysid.records import Array
 from robot_sysid.records.levels import SURE
 
@@ -169,17 +169,14 @@ def friction_share(fitted: Fit) -> tuple[float, float, float]:
     return share, float(np.sqrt(variance)), float(distance)
 
 
-FRICTION_TERMS = (COULOMB.name, VISCOUS.name, OFFSET.name)
-"""What joints have beside links, where links are compared with the model's."""
-
-
-def model_misfit(fitted: Fit, free: Sequence[str] = FRICTION_TERMS) -> float:
+def model_misfit(fitted: Fit, beside: Sequence[Term]) -> float:
     """Return the share of all torque that is left where all links but the last are the model's.
 
-    The last one is free, and so is each joint's friction; with () for ``free`` it is the model's.
+    The last one is free, and so are the terms ``beside`` it. What has no term is the model's.
     """
-    keys = (LAST_LINK, PAYLOAD, *free)
-    terms = [fitted.arm.terms[key] for key in keys if key in fitted.arm.terms]
+    keys = (LAST_LINK, PAYLOAD)
+    last = [fitted.arm.terms[key] for key in keys if key in fitted.arm.terms]
+    terms = [*last, *beside]
     after = fitted.fit(terms, None, fitted.noise, fitted.correlation, possible=False)
     squares = after.equations.squared_residuals(after.free)
     total = float(np.sum(fitted.sums.squared_torque))
