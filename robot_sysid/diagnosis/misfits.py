@@ -82,7 +82,7 @@ OWN_MODEL = 0.02
 as much as noise. Most arms whose links are as wrong as usual leave 5 %."""
 OWN_FRICTION = 0.01
 """The same with the model's own friction: torque of models that have some leaves 0.1 to 0.6 % with
-noise of up to 0.8 %, the arm that is nearest to its model of 204 right logs 1.7 %."""
+noise of up to 0.8 %, the nearest of 204 right logs 1.3 %."""
 LEAST_FRICTION = 0.008
 """Least friction of arms, as a share of their torque: of sensors behind gears, which see bearings
 and cables alone; motors' currents have ten times as much."""
