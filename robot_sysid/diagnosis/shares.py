@@ -74,7 +74,7 @@ class Shares:
         is_small = np.abs(self.weight) * self.torque < OTHERWISE * self.measured
         is_lost = (most < LOST) & is_small
         share, error = self.all_weight
-        is_clear = abs(share) + error < LOST and self.left < MOST_LEFT
+        is_clear = abs(share) + INTERVAL * error < LOST and self.left < MOST_LEFT
         return bool(np.any(own) and np.all(is_lost[own]) and is_clear)
 
     @property
