@@ -240,27 +240,29 @@ def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     )
     for joint in moving:
         if not robot.is_slide[joint]:
-            scale = np.ones(robot.n_joints)
-            scale[joint] = _RADIANS_PER_DEGREE
             yield Mistake(
                 FaultName.ANGLE_UNIT,
                 f"the position of joint {robot.joint_names[joint]} looks like degrees",
-                replace(none, position=np.diag(scale)),
+                position_times(robot.n_joints, joint, _RADIANS_PER_DEGREE),
             )
 
 
 def gear_ratios(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     """Yield positions of one joint that are half or twice as large as it moves, as of a gear."""
-    none = Reading.of(robot.n_joints)
     for joint, (factor, size) in product(moving, _GEARS):
-        scale = np.ones(robot.n_joints)
-        scale[joint] = factor
         yield Mistake(
             FaultName.ANGLE_UNIT,
             f"the position of joint {robot.joint_names[joint]} reads {size} as much as it moves, "
             "as of another gear ratio",
-            replace(none, position=np.diag(scale)),
+            position_times(robot.n_joints, joint, factor),
         )
+
+
+def position_times(n: int, joint: int, factor: float) -> Reading:
+    """Return the reading in which positions of one of n joints are multiplied by a factor."""
+    factors = np.ones(n)
+    factors[joint] = factor
+    return replace(Reading.of(n), position=np.diag(factors))
 
 
 def zeros(

@@ -167,12 +167,16 @@ def effect(
 
 def common_effect(
     names: Sequence[str],
-    spread: float,
+    spread: float | Array,
     joint: int | None = None,
     shares: Array | None = None,
 ) -> Effect:
-    """Return the effect of columns with one number for all, of a prior standard deviation."""
-    return Effect(tuple(names), np.full((len(names), 1), spread), joint, shares)
+    """Return the effect of columns that have one number in common.
+
+    ``spread`` is its prior standard deviation in each column (k,), or in all alike.
+    """
+    column = np.broadcast_to(spread, len(names))[:, None]
+    return Effect(tuple(names), column, joint, shares)
 
 
 # ---- places: the arm as a whole
@@ -322,9 +326,9 @@ def of_drifting_scales(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
         which = slice(None) if joint is None else slice(joint, joint + 1)
         rubbing = [name for names in friction for name in names[which]]
         sizes = [fitted.by_name.get(name, 0.0) for name in rubbing]
+        spread = fault.prior * np.append(np.ones(len(scales[which])), sizes)
         names = (*scales[which], *rubbing)
-        factor = fault.prior * np.append(np.ones(len(scales[which])), sizes)
-        drift = Effect(names, factor[:, None], joint, along(fitted))
+        drift = common_effect(names, spread, joint, along(fitted))
         yield Explanation(fault, drift, {"owner": owner})
 
 

@@ -15,6 +15,7 @@ from robot_sysid.diagnosis.column_search import Evidence
 from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
 from robot_sysid.diagnosis.faults import TIME, WHOLE_CLOCK, at_inertia
 from robot_sysid.diagnosis.plausibility import (
+    PLAIN_FRICTION,
     SMALLER,
     friction_share,
     is_plausible,
@@ -23,13 +24,14 @@ from robot_sysid.diagnosis.plausibility import (
     model_misfit,
     model_torque,
     regression,
+    terms_of,
     typical_ratio,
     typical_torque,
 )
 from robot_sysid.diagnosis.scales import ScaleCorrections, little_weight, torque_scales
 from robot_sysid.diagnosis.search import Search
 from robot_sysid.diagnosis.shares import LOST, Shares
-from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
+from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.choose import (
     centre_off_model,
     has_odd_link_alone,
@@ -453,9 +455,7 @@ def friction_findings(fitted: Fit) -> Iterator[Finding]:
         "controller whose drives add the friction themselves, not measured; an arm without "
         "friction looks the same"
     )
-    keys = (COULOMB.name, VISCOUS.name, OFFSET.name)
-    friction = [fitted.arm.terms[key] for key in keys if key in fitted.arm.terms]
-    left = model_misfit(fitted, friction)
+    left = model_misfit(fitted, terms_of(fitted.arm, PLAIN_FRICTION))
     if left < OWN_MODEL:
         text += f"; this model's links but the last, as they are, leave {percent(left)} of it"
     yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)

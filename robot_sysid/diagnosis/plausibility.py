@@ -15,7 +15,14 @@ from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.terms import FURTHER_FRICTION, LAST_LINK, LINKS, PAYLOAD, Term
+from robot_sysid.estimate.terms import (
+    FURTHER_FRICTION,
+    LAST_LINK,
+    LINKS,
+    PAYLOAD,
+    ArmTerms,
+    Term,
+)
 from robot_sysid.records import Array
 from robot_sysid.records.levels import SURE
 
@@ -47,6 +54,11 @@ another arm: siblings reach 6.1 to 7.7, but one right arm in forty with a link t
 No torque tells these apart, but models of other arms leave more than 1 % of it unexplained."""
 SIBLING_CENTRES = 5.7
 """The same of centres of mass: right arms reach 2.2, another arm 5.8 to 6.5."""
+LAST_LINKS = (LAST_LINK, PAYLOAD)
+"""Keys of what is free where links are compared with the model's: the last one, whatever hangs on
+it."""
+PLAIN_FRICTION = (COULOMB.name, VISCOUS.name, OFFSET.name)
+"""Keys of the friction of any joint, and of the offset of its sensor."""
 EXACT = 0.001
 """Error of filtering in dry friction, as a share of the joint's torque."""
 MOST_AT_ONCE = 1.5
@@ -169,14 +181,17 @@ def friction_share(fitted: Fit) -> tuple[float, float, float]:
     return share, float(np.sqrt(variance)), float(distance)
 
 
+def terms_of(arm: ArmTerms, keys: Sequence[str]) -> list[Term]:
+    """Return the terms of an arm with some keys, of those that it has."""
+    return [arm.terms[key] for key in keys if key in arm.terms]
+
+
 def model_misfit(fitted: Fit, beside: Sequence[Term]) -> float:
     """Return the share of all torque that is left where all links but the last are the model's.
 
     The last one is free, and so are the terms ``beside`` it. What has no term is the model's.
     """
-    keys = (LAST_LINK, PAYLOAD)
-    last = [fitted.arm.terms[key] for key in keys if key in fitted.arm.terms]
-    terms = [*last, *beside]
+    terms = [*terms_of(fitted.arm, LAST_LINKS), *beside]
     after = fitted.fit(terms, None, fitted.noise, fitted.correlation, possible=False)
     squares = after.equations.squared_residuals(after.free)
     total = float(np.sum(fitted.sums.squared_torque))

@@ -16,12 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis.fault_columns import OTHER_WEIGHT
-from robot_sysid.diagnosis.plausibility import LEAST_WEIGHED
+from robot_sysid.diagnosis.plausibility import (
+    LAST_LINKS,
+    LEAST_WEIGHED,
+    PLAIN_FRICTION,
+    terms_of,
+)
 from robot_sysid.diagnosis.scores import in_sums_alone
-from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.links import reference_links
-from robot_sysid.estimate.terms import LAST_LINK, PAYLOAD, Term
+from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.parameters import Parameter
@@ -35,7 +39,6 @@ as they were leave 0.25 of it, links that are off by 20 % a fifth less."""
 OTHERWISE = 0.25
 """Torque of the share of weight that is left, over the joint's torque, below which something else
 makes the torque: in another unit, weight makes as much of it as in newton metres."""
-
 LINKS_OFF = 0.2
 """Share by which the links that a joint carries may be off the model's."""
 MOST_LEFT = 0.15
@@ -131,9 +134,8 @@ def shares_of(fitted: Fit) -> Shares:
     """
     arm = fitted.arm
     joints = arm.joints
-    free = [arm.terms[key] for key in (LAST_LINK, PAYLOAD) if key in arm.terms]
-    own = (COULOMB.name, VISCOUS.name, OFFSET.name)
-    friction = [arm.terms[key] for key in own if key in arm.terms]
+    free = terms_of(arm, LAST_LINKS)
+    friction = terms_of(arm, PLAIN_FRICTION)
     kept = [name for term in (*free, *friction) for name in term.names]
     names = [f"{kind} of {joint}" for kind in ("weight", "inertia") for joint in joints]
     sums = fitted.sums
