@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,20 @@ def pytest_configure(config):
     """Let --benchmark-enable and --benchmark-only count, though benchmarks are off by default."""
     wanted = config.getoption("benchmark_enable") or config.getoption("benchmark_only")
     config.option.benchmark_skip = config.getoption("benchmark_skip") and not wanted
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Let all cases of a test but its first ones be slow, as its mark ``fast_cases`` says."""
+    collected = Counter()
+    for item in items:
+        mark = item.get_closest_marker("fast_cases")
+        if mark is None or item.get_closest_marker("slow") is not None:
+            continue
+        test = item.nodeid.partition("[")[0]
+        collected[test] += 1
+        if collected[test] > mark.args[0]:
+            item.add_marker(pytest.mark.slow)
 
 
 def pytest_collection_finish(session):

@@ -52,6 +52,7 @@ def parameters_of(logs):
     return parameters
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("log", parameters_of(DRIVER_LOGS))
 def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log):
     """Whatever the driver's order, names, units, turns and further topics are."""
@@ -85,6 +86,7 @@ def remedies(message):
     return [shlex.split(line)[1:] for line in lines]
 
 
+@pytest.mark.fast_cases(1)
 @NEEDS_MODELS
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_a_servo_arms_data_set_names_the_command_that_needs_no_torque(
@@ -103,6 +105,7 @@ def test_a_servo_arms_data_set_names_the_command_that_needs_no_torque(
     assert np.max(np.abs(log.q)) < np.pi
 
 
+@pytest.mark.slow
 @NEEDS_MODELS
 def test_of_two_arms_each_ones_command_is_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

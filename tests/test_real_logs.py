@@ -64,9 +64,8 @@ def on_the_page(row, column):
     return pytest.approx(0.01 * float(cells[column].strip(" %*")), abs=0.0006)
 
 
-@pytest.mark.parametrize(
-    ("tested", "limit"), [(2, 0.025), pytest.param(3, 0.045, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("tested", "limit"), [(2, 0.025), (3, 0.045)])
 def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     """A last link of 0.3 kg among torques of 60 N m is not known, and that is no failure."""
     code, params = kuka(tmp_path, tested)
@@ -277,6 +276,7 @@ def with_links(folder, links, mass=1.0, centre=1.0):
     return path
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(
     ("links", "factors"),
     [

@@ -112,6 +112,7 @@ def test_from_a_self_test_to_the_file_to_use():
     assert names[1:] == ["plan", "identify", "payload"]
 
 
+@pytest.mark.slow
 def test_the_second_motion_that_is_proposed_makes_the_file_better():
     """At least half as much as its sentence says."""
     path, _ = small_arm()

@@ -126,6 +126,7 @@ def test_doubt_lists_the_candidates(model, joints):
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(("model", "joint"), slow_unless_quick(CHOICES))
 def test_another_link_than_the_models_is_found(model, joint):
     """Not a run that can only return the model: the arm that is simulated carries more."""

@@ -30,7 +30,7 @@ PAGES = sorted(
     [ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "examples/kinova/README.md"]
 )
 OTHERS = ["pip", "git", "cd", "conda", "sudo", "ros2", "pytest", "ruff", "python"]
-OTHERS += ["mkdocs", "nc"]
+OTHERS += ["mkdocs", "nc", "python3", "."]
 """Beginnings of lines that are not this tool's commands; scripts have tests of their own."""
 AXES = (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X)
 ARM = {
@@ -63,8 +63,8 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 
 
 def command_lines(block: str) -> list[list[str]]:
-    """Return the words of each line of a block, continued lines joined, comments gone."""
-    lines = block.replace("\\\n", " ").splitlines()
+    """Return the words of each command of a block, continued lines joined, comments gone."""
+    lines = block.replace("\\\n", " ").replace(" && ", "\n").splitlines()
     return [*filter(None, (shlex.split(line, comments=True) for line in lines))]
 
 

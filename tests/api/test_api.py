@@ -135,6 +135,7 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result, model, lo
     assert len(both.file.others) == 1 and len(both.validation) >= 2
 
 
+@pytest.mark.slow
 def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     workshop, model, log
 ):

@@ -38,6 +38,7 @@ def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
     assert tuple(capfd.readouterr()) == ("", "")
 
 
+@pytest.mark.slow
 def test_a_simulated_arm_is_the_models_where_that_is_named(trajectory, model, tmp_path):
     """Without a plant it differs from the model, the same way each time."""
     recordings = []
@@ -49,6 +50,7 @@ def test_a_simulated_arm_is_the_models_where_that_is_named(trajectory, model, tm
     assert recordings[0] == recordings[1] != recordings[2]
 
 
+@pytest.mark.slow
 def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path):
     motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
     plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)

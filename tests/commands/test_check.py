@@ -63,6 +63,7 @@ def test_an_arm_is_what_it_was(command):
     assert rows["zero", "joint0"]["reason"] == "not shown"
 
 
+@pytest.mark.slow
 def test_a_zero_that_moved_is_named_with_its_size_and_what_to_do(command):
     printed = command.run("check arm.xml turned.csv --since earlier.csv", code=1)
     verdict = printed.out.splitlines()[-2:]
@@ -88,7 +89,8 @@ def test_a_log_that_shows_nothing_or_is_none_is_refused(command, log, since, tex
     assert all(text in printed.err for text in texts)
 
 
-@pytest.mark.parametrize("way", [pytest.param("on", marks=pytest.mark.slow), "off"])
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["on", "off"])
 def test_a_load_is_weighed_as_by_payload(folder, command, way):
     """Whichever side carries it, and although gears lose a part of it."""
     robot = small_arms.robot_of(ARM)

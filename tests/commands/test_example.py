@@ -39,6 +39,7 @@ def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path)
     assert meshes == {path.name for path in (EXAMPLE / "model/meshes").iterdir()}
 
 
+@pytest.mark.slow
 def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
     def fail(draft, folder):
         assert (draft / "model").is_dir() and not folder.exists()

@@ -156,6 +156,7 @@ def test_the_order_of_a_payload_has_a_letter_for_each_log_not_for_each_file(comm
     assert "--order AABB: needs 1 times A (the empty logs) and 1 times B" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("relative_error", "found"), [(0.2, []), (0.005, [("torque-scale", "doubts")])]
 )
@@ -175,6 +176,7 @@ def test_a_file_of_scales_says_how_sure_they_are(
     assert findings("1") == [("torque-scale", "doubts")]
 
 
+@pytest.mark.slow
 def test_a_warning_stops_unless_it_is_accepted(command):
     printed = command.run("log late.csv arm.xml --json", code=1)
     answer = json.loads(printed.out)
@@ -187,6 +189,7 @@ def test_a_warning_stops_unless_it_is_accepted(command):
     assert "doubts: a sensor failed from 0.80 s to 1.20 s (joint1)" in printed.out
 
 
+@pytest.mark.slow
 def test_a_result_in_spite_of_a_doubt_is_not_called_usable_without_that_word(command):
     command.refused("identify arm.xml late.csv", code=1)
     assert not Path(OUT, "updated_model.xml").exists()

@@ -303,6 +303,7 @@ def test_limits_hold_for_what_is_played(motors, bus, trajectory, arm_file):
 # --- simulate -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     capsys, trajectory, model, tmp_path, monkeypatch
 ):

@@ -129,6 +129,7 @@ def last_position(bus):
     return next(q for time, q, _ in bus.arm.truth if time >= bus.arm.off_at - 2e-3)
 
 
+@pytest.mark.slow
 def test_an_arm_is_moved_to_a_keyframe_and_disabled(motors, bus, arm_file, tmp_path):
     record = tmp_path / "move.csv"
     words = (

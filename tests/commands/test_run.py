@@ -66,6 +66,7 @@ CHECKED = {
 }
 
 
+@pytest.mark.fast_cases(2)
 @pytest.mark.parametrize("case", CHECKED)
 def test_where_a_limit_is_broken_nothing_is_written_or_called_good(
     case, command, arm_file

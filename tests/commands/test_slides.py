@@ -64,6 +64,7 @@ def lines_of_the_slide(text):
     return [s for s in lines if "lift" in s and not re.search("bend|roll", s)]
 
 
+@pytest.mark.slow
 def test_no_command_gives_a_slide_the_units_of_a_hinge(command, robot, tmp_path):
     identified = command.run("identify arm.xml off.csv --verbose --report")
     # A part of it, of 60 N that the joint carries, is within what links and base may be off.

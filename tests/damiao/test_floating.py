@@ -113,6 +113,7 @@ def test_an_arm_whose_model_is_right_stands(float_test):
     assert np.all(test.moved < 0.01)
 
 
+@pytest.mark.slow
 def test_of_a_joint_that_friction_holds_no_torque_is_said(float_test):
     """But how large an error of its gravity friction hides: as large a one as this model has."""
     model = arm(dry=0.3)
@@ -124,6 +125,7 @@ def test_of_a_joint_that_friction_holds_no_torque_is_said(float_test):
     assert len(sizes) == 2 and np.all(errors < sizes) and np.max(errors) > 0.1
 
 
+@pytest.mark.slow
 def test_of_a_joint_whose_friction_is_not_known_no_torque_is_said(float_test):
     """Steps of the commanded torque alone let a joint drift whose gravity is right."""
     frictionless = arm(dry=0.0, viscous=0.0)
@@ -147,6 +149,7 @@ def gravity(model):
     return resting_torque(robot, np.array([POSE]), robot.thetas)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "viscous", "code"), [(1.15, 0.3, 3), (0.85, 1.5, 0)])
 def test_a_wrong_gravity_is_named_with_its_sign_and_size(
     float_test, share, viscous, code
@@ -236,6 +239,7 @@ def test_the_model_of_another_arm_is_caught(float_test, tmp_path, name):
     assert np.all(test.moved < bound)
 
 
+@pytest.mark.slow
 def test_a_joint_that_sinks_out_of_its_range_is_caught(float_test):
     """Before its position would be pulled back from far beyond its range."""
     model = arm().replace('range="-2.5 2.5"', f'range="-2.5 {POSE[0] + 0.002}"', 1)
@@ -245,6 +249,7 @@ def test_a_joint_that_sinks_out_of_its_range_is_caught(float_test):
     assert 0.02 < test.moved[0] < 0.04
 
 
+@pytest.mark.slow
 def test_an_error_of_measuring_does_not_hide_who_was_caught(float_test, monkeypatch):
     """A fit of a drift may fail in numpy."""
 
@@ -259,6 +264,7 @@ def test_an_error_of_measuring_does_not_hide_who_was_caught(float_test, monkeypa
     assert test.code == 3 and "joint0) is not carried" in test.err and asked
 
 
+@pytest.mark.slow
 def test_a_joint_at_an_end_of_its_range_says_nothing_of_its_gravity(float_test):
     model = arm().replace('range="-2.5 2.5"', f'range="-2.5 {POSE[0]}"', 1)
     test = float_test(arm(), model)
@@ -319,6 +325,7 @@ def test_a_long_time_needs_no_more_memory():
     assert times[-1] == 3999 / 250.0 - SETTLING
 
 
+@pytest.mark.slow
 def test_a_simulated_arm_may_be_another_one(capsys, arm_file):
     motors = MotorsCommandLine(capsys, Equipment(physics_step=COARSE_STEP))
     model = arm_file(arm(viscous=1.5))

@@ -48,6 +48,7 @@ def test_each_incident_has_a_name_of_its_own_and_is_played_somewhere():
 # --- samples --------------------------------------------------------------------------------------
 
 
+@pytest.mark.fast_cases(6)
 @pytest.mark.parametrize("case", SAMPLES, ids=name_of)
 def test_what_samples_show_of_an_incident_is_said_with_the_joint(case):
     for play in case.plays:
@@ -62,6 +63,7 @@ def test_what_samples_show_of_an_incident_is_said_with_the_joint(case):
 # --- simulated motors -----------------------------------------------------------------------------
 
 
+@pytest.mark.fast_cases(6)
 @pytest.mark.parametrize("case", PENDULUMS, ids=name_of)
 def test_an_incident_stops_a_run_and_its_motors(rig, case, heard):
     check_stop(rig(**case.options), case)

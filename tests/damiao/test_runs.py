@@ -313,6 +313,7 @@ def to_zero(hit):
     return -hit.position
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(
     ("seconds", "shift"),
     [(0.002, 2.0 * np.pi), (0.008, 0.0), (0.008, to_zero), (0.014, -0.3)],

@@ -259,12 +259,14 @@ FAST_RUNS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", FAST_RUNS)
 def test_a_sound_arm_is_not_stopped(options, folder):
     run = twin_of(options, folder)
     assert (run.exit, run.code) == (COMPLETED, 0), run.message
 
 
+@pytest.mark.slow
 def test_a_twin_is_alike_to_the_last_bit_until_the_fault(folder):
     options = FAST_RUNS[0]
     after = 0.6

@@ -138,6 +138,7 @@ def check(four_joints):
     return check_fault
 
 
+@pytest.mark.fast_cases(2)
 @pytest.mark.parametrize("faults", [*TORQUES, *SAMPLES])
 def test_faults_are_called_by_their_names(check, faults):
     _, findings = check(faults)
@@ -164,6 +165,7 @@ def correct_torques(log, finding):
     return replace(log, tau=log.tau[:, list(order)] * factors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("instant", [5.4, 7.64, *slow(5.96, 6.52, 7.08)])
 def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instant):
     """The instant need not be that of a row, of which there are a few per second."""
@@ -209,6 +211,7 @@ REMEDIES = {
 """Fault to the log that its finding advises."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", REMEDIES)
 def test_the_advised_remedy_puts_the_log_right(check, four_joints, fault):
     log, findings = check(fault)
@@ -219,6 +222,7 @@ def test_the_advised_remedy_puts_the_log_right(check, four_joints, fault):
     assert remedied.time == pytest.approx(four_joints.log.time, rel=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "scale", "pull"), [(5, 0.12, 0.0), (1, 0.0, 0.5)])
 def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(
     four_joints, seed, scale, pull
@@ -245,6 +249,7 @@ OTHERWISE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [

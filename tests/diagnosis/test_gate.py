@@ -26,6 +26,7 @@ from robot_sysid.records.messages import Level, Progress
 from tests.diagnosis.conftest import findings_of, found_in, read_log, slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [(0, 2), *slow((1, 2), (0, 1, 3))])
 def test_turned_signs_of_several_joints_are_named_together(four_joints, turned):
     signs = np.where(np.isin(range(4), turned), -1.0, 1.0)
@@ -58,6 +59,7 @@ def swings(robot, seed, times=2.0):
     return Recording(time, np.round(q, 4), None, tau + noise)
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_joints_that_are_driven_one_at_a_time_are_an_experiment(four_joints, seed):
     found = findings_of(four_joints.robot, swings(four_joints.robot, seed))
@@ -72,6 +74,7 @@ def test_joints_that_hardly_move_are_too_little_however_long_the_log_is(four_joi
     assert "20 s behind a low-pass" in finding.text
 
 
+@pytest.mark.slow
 def test_logs_that_each_show_some_joints_are_judged_together(four_joints):
     """What one log does not show, another one does."""
     logs = []
@@ -85,6 +88,7 @@ def test_logs_that_each_show_some_joints_are_judged_together(four_joints):
     assert finding.about == "sign" and "joint joint2 has" in finding.text
 
 
+@pytest.mark.slow
 def test_friction_of_one_log_that_is_not_that_of_the_others_is_no_delay(four_joints):
     cold = four_joints.arm
     warm = replace(cold, coulomb=0.6 * cold.coulomb, viscous=0.6 * cold.viscous)
@@ -96,6 +100,7 @@ def test_friction_of_one_log_that_is_not_that_of_the_others_is_no_delay(four_joi
     assert "friction is not that of the other logs" in finding.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.4, *slow(1.7, 2.5)])
 def test_a_payload_is_refused_for_what_its_logs_are_refused_for(four_joints, factor):
     """Torques that are all scaled do not cancel in the difference of the logs."""
@@ -119,6 +124,7 @@ def with_jumps(log):
     return replace(log, time=log.time + np.cumsum(jumps))
 
 
+@pytest.mark.slow
 def test_what_needs_less_of_a_log_comes_first(four_joints):
     """Samples before columns: a remedy of columns is none while samples are doubted."""
     robot = four_joints.robot

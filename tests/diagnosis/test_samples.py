@@ -208,6 +208,7 @@ def mounting_of(four_joints, gravity):
     return log, 9.81 * np.array([*map(float, numbers)])
 
 
+@pytest.mark.slow
 def test_an_arm_that_hangs_is_named(four_joints):
     gravity = (0.0, 0.0, 9.81)
     assert_array_equal(mounting_of(four_joints, gravity)[1], gravity)
@@ -242,6 +243,7 @@ def test_gravity_that_was_stated_the_wrong_way_round_is_named(four_joints):
     assert finding.level is Level.REFUSES and "--gravity" in finding.remedy
 
 
+@pytest.mark.slow
 def test_turned_torques_of_all_joints_are_named_and_the_search_is_shown(four_joints):
     turned = replace(four_joints.log, tau=-four_joints.log.tau)
     shown = []
@@ -253,6 +255,7 @@ def test_turned_torques_of_all_joints_are_named_and_the_search_is_shown(four_joi
     assert shown == sorted(shown) and len(shown) > 4 and shown[-1] == 1.0
 
 
+@pytest.mark.slow
 def test_one_joint_in_degrees_is_no_torque_in_another_unit(four_joints):
     degrees = np.where(np.arange(4) == 2, 180.0 / np.pi, 1.0)
     (finding,) = found_in(four_joints, q=four_joints.log.q * degrees, qd=None)
@@ -260,6 +263,7 @@ def test_one_joint_in_degrees_is_no_torque_in_another_unit(four_joints):
     assert finding.correction.position[2] == (2, pytest.approx(np.pi / 180.0))
 
 
+@pytest.mark.slow
 def test_a_turned_position_of_a_vertical_joint_is_no_turned_torque(four_joints):
     """The torques of the joint fit nearly as well with a turned torque."""
     signs = np.array([-1.0, 1.0, 1.0, 1.0])
@@ -268,6 +272,7 @@ def test_a_turned_position_of_a_vertical_joint_is_no_turned_torque(four_joints):
     assert finding.text.startswith("the position of joint joint0 has the opposite sign")
 
 
+@pytest.mark.slow
 def test_friction_that_drives_a_joint_shows_a_turned_sign(four_joints):
     """It is all that shows the sign of a joint that its links hardly load."""
     tau = four_joints.log.tau.copy()
@@ -276,6 +281,7 @@ def test_friction_that_drives_a_joint_shows_a_turned_sign(four_joints):
     assert finding.about == "sign" and "joint joint3 has the opposite" in finding.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0, 3, *slow(1, 2)])
 def test_a_joint_that_stands_still_is_no_fault_and_hides_none(four_joints, joint):
     moves = np.arange(4) != joint
@@ -288,6 +294,7 @@ def test_a_joint_that_stands_still_is_no_fault_and_hides_none(four_joints, joint
 # ---- correct logs
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(
     "axes",
     [

@@ -51,6 +51,7 @@ def test_a_tool_hides_a_factor_below_one_from_weights_alone():
     assert not scales_of(1.0 / 0.65, [1.0, 1.0 / 0.95]).is_odd
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("others", "named"), [(0.85, 1), (0.45, 0)])
 def test_one_joint_is_blamed_unless_all_are_in_another_unit(four_joints, others, named):
     """The arm may weigh less than its model, or the others have a factor as well."""
@@ -60,6 +61,7 @@ def test_one_joint_is_blamed_unless_all_are_in_another_unit(four_joints, others,
     assert sum(each.text.startswith(alone) for each in found) == named
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(
     ("factor", "level"), [(1.0, None), (0.78, Level.SAYS), (0.6, Level.REFUSES)]
 )

@@ -75,6 +75,7 @@ def add_to_torque(gram):
     return turn.T @ gram @ turn
 
 
+@pytest.mark.slow
 def test_deviations_that_the_prior_allows_are_not_named(four_joints):
     """Torque scales that the user declares uncertain are unknowns of the fit."""
     log = replace(four_joints.log, tau=four_joints.log.tau * [1.0, 1.3, 1.0, 1.0])
@@ -83,6 +84,7 @@ def test_deviations_that_the_prior_allows_are_not_named(four_joints):
         assert any(f.level is not Level.SAYS for f in found) is is_named
 
 
+@pytest.mark.slow
 def test_torque_that_nothing_explains_is_said_with_what_is_missing(four_joints):
     noise = np.random.default_rng(0).normal(size=four_joints.log.tau.shape)
     (finding,) = found_in(four_joints, tau=np.cumsum(noise, axis=0))

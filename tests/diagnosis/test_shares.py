@@ -75,6 +75,7 @@ def test_placeholders_of_inertia_hide_no_weight(four_joints):
     assert found.has_inertia and not found.has_no_weight
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_external_torque_has_no_weight_whatever_hangs_on_the_flange(four_joints, times):
     tau = external(four_joints, times)
@@ -113,6 +114,7 @@ def test_noise_with_a_memory_does_not_hide_that_there_is_no_friction(
     assert found[0].level is Level.DOUBTS and text in found[0].text
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("times", [1.0, 1.3])
 def test_torque_of_the_model_and_its_friction_is_called_its_own(four_joints, times):
     """Links that are all heavier than the model's are an arm's, whatever its friction is."""

@@ -75,6 +75,7 @@ FAULTS = {
 """Name of a fault that lasts a moment to the function that puts it into a log of four joints."""
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_that_lasts_a_moment_is_left_out_and_said(four_joints, fault):
     log = FAULTS[fault](four_joints.log)
@@ -92,6 +93,7 @@ def test_a_fault_that_lasts_a_moment_is_left_out_and_said(four_joints, fault):
     assert abs(error) < 3.0 * answer.fit.error_of("m")
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(
     "spans",
     [[(0.5 + k, 0.9 + k) for k in range(8)], [(1.0, 9.0)]],
@@ -105,6 +107,7 @@ def test_a_fault_that_comes_back_or_lasts_stops_the_identification(four_joints, 
     assert any(f.about == "held" and f.level is Level.DOUBTS for f in findings)
 
 
+@pytest.mark.slow
 def test_pushes_that_come_back_stop_the_identification(four_joints):
     log = four_joints.log
     waves = np.maximum(np.sin(2.0 * np.pi * log.time), 0.0) * (np.sin(log.time) > 0.0)
@@ -178,6 +181,7 @@ def test_coarse_steps_and_joints_at_rest_are_no_failed_sensors():
     assert [*failed_sensors([replace(NOISY, q=resting)])] == []
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_joint_that_friction_holds_with_one_torque_is_no_failed_sensor(
     four_joints, joint
@@ -201,6 +205,7 @@ def test_a_joint_that_friction_holds_with_one_torque_is_no_failed_sensor(
     assert findings_of(four_joints.robot, log) == ()
 
 
+@pytest.mark.slow
 def test_an_identification_uses_the_rest_and_carries_the_note(four_joints, tmp_path):
     path = tmp_path / "log.csv"
     names = four_joints.robot.joint_names

@@ -221,6 +221,7 @@ def test_rows_at_turns_are_used_where_a_joint_does_not_stand(plant):
     assert_array_equal(is_used, recordings[0].is_used)
 
 
+@pytest.mark.slow
 def test_rotors_are_within_their_errors_where_friction_takes_a_travel_to_turn_round():
     """Over 1 mrad. If only rows are left out at which a joint may stand, they are 1.8 errors off.
 
@@ -419,6 +420,7 @@ _ROUNDING = 1e-3
 _SHORT = 6.0
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(SEEDS)
 def test_the_order_of_logs_changes_neither_estimate_nor_file(seed):

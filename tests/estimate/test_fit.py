@@ -221,6 +221,7 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(seed, key):
 # ---- errors
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_is_stated_where_everything_is_as_the_priors_say():
     """Of links, friction, torque scales, zeros and base; noise is white or has a memory."""
     ratios = {}

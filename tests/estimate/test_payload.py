@@ -20,6 +20,7 @@ def half_turn(theta):
     return spatial.theta_from_com(mass, rotation @ com, rotation @ inertia @ rotation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("index", "change", "names"),
     [

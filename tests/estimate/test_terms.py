@@ -134,6 +134,7 @@ def record(motion, tau, arm, loaded=True, low_pass=UNFILTERED):
     return Rows(replace(recording, low_pass=low_pass), slice(None))
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(
     ("name", "torques", "loaded"),
     [("four", "chain", True), ("four", "terminal", True), ("slide", "chain", False)],

@@ -118,6 +118,7 @@ def test_shapes_say_whether_a_centre_of_mass_is_at_the_joint(offset, is_stated):
     assert com == pytest.approx([0.0, 0.0, offset], abs=1e-9)
 
 
+@pytest.mark.fast_cases(2)
 @since(3, 1, 0)
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize(

@@ -163,6 +163,7 @@ def test_nothing_known_is_as_wide_as_an_unknown_arm(fits, sums):
     assert all(by_name[name] <= 2.0 * size for name, size in bodies)
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("seed", [3, 4, 5, 6])
 def test_a_promise_is_kept(seed):
     """The file's error against the true arm, on motions of another seed."""
@@ -204,6 +205,7 @@ def torque_by_terms(file, motions, values):
     return np.concatenate(torques)
 
 
+@pytest.mark.slow
 def test_a_joint_that_stood_still_is_named_and_counted():
     fitted, file = fit_of(drawn(3, move=with_still_joint))
     promise = Promise(fitted)
@@ -218,6 +220,7 @@ def test_a_joint_that_stood_still_is_named_and_counted():
     assert promised.next.relative_error < promised.after.relative_error
 
 
+@pytest.mark.slow
 def test_slow_logs_are_told_to_be_slow(fits):
     def slowly(plan, _):
         """Return the motion at a fifth of the speed."""

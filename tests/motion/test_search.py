@@ -88,6 +88,7 @@ def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
     assert_obeys(xml, 1, iterations=2)
 
 
+@pytest.mark.slow
 def test_rounds_keep_the_best_feasible_trajectory():
     """A start that exceeds its limits is made feasible, and rounds only improve the score."""
     design = make_design(TUBES_AND_POST, iterations=5)
@@ -149,6 +150,7 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     assert np.min(np.abs(slopes - np.sum(products))) < 1e-4 * size
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("xml", [small_arms.SEVEN, small_arms.SLIDE_IN_CHAIN])
 def test_the_grid_is_fine_enough_for_the_band(xml):
     """On the search's grid, with rounded friction, no deviation is off by more than 3 %."""

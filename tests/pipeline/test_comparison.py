@@ -77,6 +77,7 @@ def row_of(rows, name, of):
     return row
 
 
+@pytest.mark.slow
 def test_a_body_that_came_on_is_found_and_the_order_changes_its_sign():
     rows = rows_of(0, body=BODY)
     for row, true in zip(rows[:4], BODY):
@@ -96,6 +97,7 @@ def test_a_body_that_came_on_is_found_and_the_order_changes_its_sign():
     assert sentences(back)[0].endswith("came off at link3")
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize(
     ("name", "joint", "value", "after", "words"),
     [
@@ -129,6 +131,7 @@ def test_one_joints_change_is_found_with_its_value_and_nothing_else(
     assert verdict_on(rows)[0] == f"Changed: {sentence}"
 
 
+@pytest.mark.slow
 def test_a_change_of_all_joints_is_said_once():
     rows = rows_of(2, friction=-0.25)
     assert named(rows) == {("friction", ALL_JOINTS)}
@@ -158,6 +161,7 @@ _LARGEST = {
 }
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(SEEDS, st.sets(st.sampled_from(sorted(_LARGEST)), max_size=2))
 def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
@@ -269,6 +273,7 @@ AS_SURE = Priors(scale=(0.5, 0.5, 0.5))
 """Torque scales as sure as their file says [%]."""
 
 
+@pytest.mark.slow
 def test_logs_are_judged_against_the_runs_own_arm_with_its_options(heavy, tmp_path):
     write_logs(tmp_path, heavy)
     found = compare_runs(runs_with(tmp_path, heavy, RUN, RUN), Progress())
@@ -280,6 +285,7 @@ def test_logs_are_judged_against_the_runs_own_arm_with_its_options(heavy, tmp_pa
     assert of_runs != pytest.approx(without_file, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("after", "name", "kind"),
     [
@@ -297,6 +303,7 @@ def test_a_doubt_that_is_what_has_changed_stops_no_comparison(
     assert kind in {row.kind for row in found if row.reason == DIFFERS}
 
 
+@pytest.mark.slow
 def test_a_doubt_stops_a_comparison_unless_a_run_has_accepted_it(heavy, tmp_path):
     angle = np.radians(8.0)
     gravity = 9.81 * np.array([np.sin(angle), 0.0, -np.cos(angle)])

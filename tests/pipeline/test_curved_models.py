@@ -87,6 +87,7 @@ def friction_of(robot, speed):
     return (0.5 * (moved[0] - moved[1]) + robot.friction.torque(qd))[0]
 
 
+@pytest.mark.slow
 def test_the_curve_predicts_another_motion_far_better_than_the_line(folder, plant):
     """Judged as files, by MuJoCo, on a log that did not make them."""
     other = log_of(plant, plan_of(plant, 5), 5, noise_torque=0.01)
@@ -110,6 +111,7 @@ def test_the_curve_predicts_another_motion_far_better_than_the_line(folder, plan
     assert curve["known_to"] == curve["speeds"][-1]
 
 
+@pytest.mark.slow
 def test_a_curve_nowhere_falls_and_both_files_have_the_same_links(folder):
     curved, straight = (
         load_robot_model(folder / name) for name in (CURVED_NAME, STRAIGHT_NAME)
@@ -192,6 +194,7 @@ def test_bends_below_zero_are_held_before_friction_that_they_push_there(estimate
     assert_allclose(held.values[held.at(viscous.names)], 0.4)
 
 
+@pytest.mark.slow
 def test_an_old_mujoco_gets_the_line_alone_and_a_word(model, folder, monkeypatch):
     monkeypatch.delattr(mujoco.MjModel, "dof_dampingpoly")
     result = rs.identify(folder / "arm.xml", folder / "log.csv")
@@ -205,6 +208,7 @@ def test_an_old_mujoco_gets_the_line_alone_and_a_word(model, folder, monkeypatch
     assert content["verdict"][1].startswith(f"Use this file: {folder / 'old'}")
 
 
+@pytest.mark.slow
 def test_a_curve_that_cannot_be_written_leaves_the_line_and_a_word(folder):
     result = rs.identify(folder / "arm.xml", folder / "log.csv")
     # Damping that would drive its joint, which the writer refuses.
@@ -237,6 +241,7 @@ def test_the_console_names_the_curve_first_and_who_reads_it(folder):
     assert promise["elsewhere"]["after"]["relative_error"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_curved_model_is_refitted_and_a_log_of_it_is_told_from_nothing(folder):
     """Its curve is the model's number, not an unknown beside it."""
     curved = folder / CURVED_NAME
@@ -261,6 +266,7 @@ def test_a_curved_model_is_refitted_and_a_log_of_it_is_told_from_nothing(folder)
         ] * (1.0 - 1e-9)
 
 
+@pytest.mark.slow
 def test_a_curve_that_an_arm_does_not_have_leaves_nothing_in_its_file(folder):
     """Beside a line with less viscous friction it would fall, and drive the joint."""
     plain = 'range="-2 2" armature=".05" frictionloss=".3" damping=".05"'
@@ -285,6 +291,7 @@ def test_check_finds_nothing_between_a_curved_model_and_its_arm(folder):
     assert rows and all(abs(row.value) <= row.least for row in rows)
 
 
+@pytest.mark.slow
 def test_a_payload_on_a_curved_arm_is_weighed(folder, plant):
     loaded = small_arms.compile_xml(
         small_arms.serial_arm(joint=BENT.format(DRY, *DAMPING))
@@ -300,6 +307,7 @@ def test_a_payload_on_a_curved_arm_is_weighed(folder, plant):
     assert abs(row.value - 0.5) < 2.0 * row.error
 
 
+@pytest.mark.slow
 def test_plan_and_plant_read_the_curve(folder, plant):
     """The torque that a plan reserves is that of the file; a plant of it makes its logs."""
     planned = rs.plan(folder / CURVED_NAME, duration=5.0, seed=1)
@@ -334,6 +342,7 @@ def test_a_usual_arm_of_a_curved_model_has_a_curve_that_nowhere_falls(folder, se
     assert not np.allclose(friction_of(arm, 0.5), friction_of(robot, 0.5), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_damping_that_is_no_bend_stays_beside_what_is_identified(tmp_path, model):
     """Drag, which grows with the square of speed."""
     drag = small_arms.robot_of(

@@ -34,6 +34,7 @@ def named(check):
     return {(row.name, row.of) for row in check.changes if row.reason == DIFFERS}
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_an_arm_that_is_as_far_off_as_arms_are_differs_in_nothing(seed):
     check = check_of(seed)
@@ -42,6 +43,7 @@ def test_an_arm_that_is_as_far_off_as_arms_are_differs_in_nothing(seed):
     assert check.since == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "change"),
     [("zero", 9.0, {"q": np.radians(9.0)}), ("offset", 6.0, {"tau": 6.0})],
@@ -63,6 +65,7 @@ def test_a_difference_of_many_times_the_usual_one_is_named_with_its_value(
     assert row.least < value
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(small_arms.SEEDS, st.floats(-10.0, 10.0), st.floats(-6.0, 6.0))
 def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
@@ -93,6 +96,7 @@ def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
             assert row.name == "weight" and row.reason == "not shown"
 
 
+@pytest.mark.slow
 def test_a_difference_that_links_may_look_like_is_said_as_perhaps():
     turned = np.radians(7.0) * np.eye(4)[1]
     check = check_of(2, lambda log: replace(log, q=log.q + turned))

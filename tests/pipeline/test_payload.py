@@ -75,6 +75,7 @@ def judged_logs(arm, paths, options):
     return judge(arm, logs, question, Progress(), [False, True], [-1.0, 1.0])
 
 
+@pytest.mark.slow
 def test_logs_are_judged_together_with_the_options_of_the_run(robot, tmp_path):
     arm = load_robot_model(robot.path, mass_scale=1.5)
     assert arm.mass == pytest.approx(1.5 * robot.mass)
@@ -99,6 +100,7 @@ def test_logs_are_judged_together_with_the_options_of_the_run(robot, tmp_path):
     assert np.all(of_run.covariance != as_usual.covariance)
 
 
+@pytest.mark.slow
 def test_parts_of_a_log_with_a_long_hole_are_one_log(robot, tmp_path):
     paths = write_logs(robot, tmp_path)
     judged = judged_logs(robot, paths, EstimationOptions())

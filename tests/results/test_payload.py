@@ -112,6 +112,7 @@ def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(
     assert validation(file).relative_error < validation(kept).relative_error
 
 
+@pytest.mark.slow
 def test_a_known_mass_identifies_scales_from_wherever_they_start():
     """Constants of motors are guesses before, a quarter off and more."""
     scales = np.array([1.0, 0.75, 1.3, 0.8])
@@ -133,6 +134,7 @@ def test_a_known_mass_identifies_scales_from_wherever_they_start():
     assert_allclose(found, again, atol=float(np.max(0.5 * errors)))
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("is_right", [True, False])
 def test_a_known_mass_identifies_scales_unless_the_weight_contradicts_it(
     payload_fit, is_right

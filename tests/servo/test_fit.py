@@ -61,6 +61,7 @@ def test_numbers_come_from_the_log_and_not_from_the_models_servos(kp):
     assert fit.delay == pytest.approx(TRUTH.delay, abs=0.003)
 
 
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("delay", [0.0, 0.004, 0.01])
 def test_the_delay_is_that_of_the_commands_alone(delay):
     """The servo's lag, the held commands and the low-pass are no part of it."""
@@ -125,6 +126,7 @@ SMALL = """<mujoco><worldbody><body>
 """Two joints like those of a small hobby arm behind stiff servos."""
 
 
+@pytest.mark.slow
 def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     """Its rotor inertia and damping show; what it hides stays near the model's, with a wide ±."""
     robot = robot_of(SMALL)

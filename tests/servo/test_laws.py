@@ -38,6 +38,7 @@ def log_of(robot, servos, seed=0):
     return Recording(time, q, None, command - q, command=command)
 
 
+@pytest.mark.fast_cases(2)
 @pytest.mark.parametrize("seed", range(5))
 def test_true_numbers_are_found_within_their_errors(seed):
     servos = random_servos(seed)

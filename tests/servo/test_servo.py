@@ -166,6 +166,7 @@ def identify(robot, paths, folder, held_out=()):
     return servo.run_servo(config, robot, NoteRecorder())
 
 
+@pytest.mark.slow
 def test_a_gain_that_no_link_shows_is_written_with_its_friction_and_rotor(
     so_arm, tmp_path
 ):
@@ -180,6 +181,7 @@ def test_a_gain_that_no_link_shows_is_written_with_its_friction_and_rotor(
     assert outcome.result.after[2] < 0.5 * outcome.result.before[2]
 
 
+@pytest.mark.slow
 def test_numbers_that_play_worse_than_the_models_are_all_kept(so_arm, tmp_path):
     """The last joint was not as in the logs when others were recorded: it was as in the file."""
     in_model = servos_in_model(so_arm).numbers

@@ -53,6 +53,7 @@ def test_its_compiled_model_is_that_of_its_links(robot, seed):
     np.testing.assert_allclose(torque, expected, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_sizes_are_usual_ones_over_many_arms(robot):
     factors = []
     dry = []

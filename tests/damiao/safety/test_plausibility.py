@@ -136,6 +136,7 @@ def test_no_history_moves_what_is_believed_farther_than_a_joint_can_go(samples):
         last = now
 
 
+@pytest.mark.slow
 @given(
     angle=st.floats(0.2, 12.0),
     sign=st.sampled_from([-1.0, 1.0]),

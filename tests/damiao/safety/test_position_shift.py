@@ -149,6 +149,7 @@ LOGS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.exists(), reason="logs of real arms are not here")
 @pytest.mark.parametrize(("log", "model", "peak"), LOGS)
 def test_a_real_arm_that_nothing_happens_to_is_left_alone(log, model, peak):
