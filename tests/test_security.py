@@ -38,6 +38,7 @@ HELD = {
     "ends of lines": "test_cli.py::test_names_do_not_break_the_lines_of_what_is_written",
     "names with HTML": "report/test_page.py::"
     "test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere",
+    "a xacro, which": "mjcf/test_xacro_files.py::test_a_strangers_xacro_does_no_harm",
     "numbers such as": "model/test_compilation.py::"
     "test_what_mujoco_refuses_is_one_line_with_the_file",
     "counted in a log": "logs/test_table.py::"

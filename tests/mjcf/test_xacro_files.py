@@ -12,6 +12,7 @@ from rigs.files import urdf
 from rigs.files.model_files import write_files
 from rigs.files.refusals import refused
 from robot_sysid.errors import ModelError
+from robot_sysid.mjcf import xacro_process
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.parser import load_robot_model
 
@@ -110,3 +111,68 @@ def test_a_urdf_that_only_names_the_namespace_needs_no_package(tmp_path, monkeyp
     text = text.replace("<link", "<!-- <xacro:leg x='${y}'/> --><link", 1)
     robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}))
     assert robot.n_joints == len(LINKS)
+
+
+def one_link(name, before=""):
+    """A xacro file of one link, whose name is an expression."""
+    return f"{NAMESPACE}{before}<link name={quoteattr(name)}/></robot>"
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "().__class__",
+        "[k.__subclasses__ for k in [1]]",
+        "__import__",
+        "(lambda: 1)",
+        "[g.gi_frame for g in [1]]",
+        "(x for x in [1])",
+        "f.f_globals",
+    ],
+)
+def test_an_expression_that_could_lead_out_is_refused(expression):
+    with pytest.raises(xacro_process.RefusedError, match="is not one of numbers"):
+        xacro_process.checked_expression(expression)
+
+
+def test_what_robots_are_described_with_is_an_expression():
+    for text in ("2 * pi / radians(180.0)", " 'a' + prefix ", "[x for x in d['a']]"):
+        assert xacro_process.checked_expression(text) == text.strip()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (one_link("$(env HOME)"), r"variables of the environment are not read"),
+        (one_link("$(eval 1)"), r"is not evaluated"),
+        (one_link("$(find ..)"), r"'..' is no name of a package"),
+        (
+            one_link("${xacro.load_yaml('/proc/version')}"),
+            "is no YAML file of the model",
+        ),
+        (one_link("${10**9 * [0]}"), "it takes more than there is"),
+        (one_link("a", '<xacro:include filename="/dev/zero"/>'), "a pipe or a device"),
+        pytest.param(
+            one_link("${10**10**10}"), "more than 10 s", marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_a_strangers_xacro_does_no_harm(tmp_path, capfd, text, message):
+    pytest.importorskip("xacro")
+    with refused(rf"xacro cannot expand .*arm\.urdf\.xacro.*{message}", ModelError):
+        read_document(written(tmp_path, text))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_yaml_of_the_own_package_is_read_and_variables_have_their_defaults(tmp_path):
+    """As the descriptions of UR's and Franka's arms ask for."""
+    pytest.importorskip("xacro")
+    value = "${xacro.load_yaml('$(find arm_description)/config/masses.yaml')['far']}"
+    argument = f'<xacro:property name="far" value="{value}"/>'
+    text = xacro_of(argument=argument).replace("$(arg far)", "${far}")
+    path = written(tmp_path, text.replace('name="r"', 'name="$(optenv HOME r)"'))
+    write_files(tmp_path, {"arm_description/config/masses.yaml": "far: 0.2"})
+    robot = load_robot_model(path)
+    plain = load_robot_model(write_files(tmp_path, {"plain.urdf": EXPANDED}))
+    assert_array_equal(robot.mj_model.body_pos, plain.mj_model.body_pos)
+    assert read_document(path).root.get("name") == "r"
