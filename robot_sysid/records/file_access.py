@@ -12,6 +12,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import stat
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -58,6 +59,14 @@ RESULT_NAMES = (
 _DRAFT_PREFIX = ".robot-sysid-"
 # Bytes of a file that are in memory at once while it is hashed.
 _PIECE = 2**20
+# How deep lists and tables of settings and results may lie within each other: theirs lie eight
+# deep.
+_MOST_NESTING = 64
+_TOO_DEEP = f"lists or tables lie more than {_MOST_NESTING} deep within each other"
+# What ends a key of TOML, and how many dots one may have: each begins a table within the one
+# before, and reading them takes time by the square of their number.
+_KEY_ENDS = re.compile(r"[=,{}\[\]\n]")
+_MOST_DOTS = 4 * _MOST_NESTING
 # First line of a file that Git LFS leaves in the place of a large one.
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 
@@ -132,11 +141,13 @@ def read_json(path: Path, remedy: str) -> Any:
     """
     text = read_text(path, remedy)
     try:
-        return json.loads(text, parse_int=_number_of_digits)
+        content = json.loads(text, parse_int=_number_of_digits)
+        _refuse_odd(content)
     except (ValueError, RecursionError) as error:
         raise InputError(
             f"cannot read {path}: it is not JSON: {error}; {remedy}"
         ) from None
+    return content
 
 
 def _number_of_digits(digits: str) -> int | float:
@@ -152,9 +163,34 @@ def read_toml(path: Path) -> Mapping[str, Any]:
         import tomli as tomllib
     text = read_text(path, "give a TOML file")
     try:
-        return tomllib.loads(text)
-    except ValueError as error:
+        if any(part.count(".") > _MOST_DOTS for part in _KEY_ENDS.split(text)):
+            raise ValueError(_TOO_DEEP)
+        content = tomllib.loads(text)
+        _refuse_odd(content)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"cannot read {path}: {error_text(error)}") from None
+    return content
+
+
+def _refuse_odd(content: Any) -> None:
+    """Raise ValueError where a content lies too deep, or a text in it has a character zero.
+
+    No path and no name has one; the system ends a text there, and shows another one.
+    """
+    level = [content]
+    for _ in range(_MOST_NESTING):
+        below: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                below += [*value, *value.values()]
+            elif isinstance(value, list):
+                below += value
+            elif isinstance(value, str) and "\0" in value:
+                raise ValueError(f"the text {value!r:.60} holds a character zero")
+        if not below:
+            return
+        level = below
+    raise ValueError(_TOO_DEEP)
 
 
 def plan_settings(folder: Path) -> Mapping[str, Any]:
@@ -340,14 +376,24 @@ def refuse_overwriting(
     uses = {}
     for read_path in read_paths:
         if read_path is not None:
-            uses[os.path.realpath(read_path)] = "a file that is read"
+            uses[_real_path(read_path)] = "a file that is read"
     for option, path in written_paths:
-        real_path = os.path.realpath(path)
+        real_path = _real_path(path)
         if real_path in uses:
             raise InputError(
                 f"{option} would overwrite {uses[real_path]}: {path}; choose another"
             )
         uses[real_path] = f"what {option} writes"
+
+
+def _real_path(path: Path) -> str:
+    """Return the path of a file, links followed; InputError for a text that is no path."""
+    try:
+        return os.path.realpath(path)
+    except ValueError as error:
+        raise InputError(
+            f"{str(path)!r:.60} is no path: {error}; give another"
+        ) from None
 
 
 def require_utf8(path: Path) -> None:

@@ -24,6 +24,7 @@ from robot_sysid.records.file_access import (
     plan_settings,
     read_json,
     read_toml,
+    refuse_overwriting,
     refuse_special_file,
     write_atomically,
 )
@@ -218,7 +219,18 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", [None, b"{", b"[" * 100_000, b"\xff", b"", b"9" * 100_000 + b"x"]
+    "text",
+    [
+        None,
+        b"{",
+        b"[" * 100_000,
+        b"[" * 100 + b"]" * 100,
+        b"\xff",
+        b"",
+        b"9" * 100_000 + b"x",
+        b'["a\\u0000"]',
+        b'{"a\\u0000": 1}',
+    ],
 )
 def test_what_is_no_json_is_refused_in_one_line(tmp_path, text):
     path = tmp_path / "a.json"
@@ -226,6 +238,33 @@ def test_what_is_no_json_is_refused_in_one_line(tmp_path, text):
         path.write_bytes(text)
     with refused("cannot read .*a.json: .*; do this"):
         read_json(path, "do this")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 100_000,
+        "a = " + "[" * 100 + "]" * 100,
+        "a = " + "{a = " * 100_000,
+        "a." * 100_000 + "a = 1",
+        "[" + "a." * 100_000 + "a]",
+        "a = {" + "a." * 100_000 + "a = 1}",
+        'a = "b\\u0000"',
+    ],
+)
+def test_toml_without_end_or_with_a_character_zero_is_refused_in_one_line(
+    tmp_path, text
+):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with refused("cannot read .*a.toml: "):
+        read_toml(path)
+
+
+def test_a_path_of_many_folders_up_is_a_text_of_toml(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text(f'a = "{"../" * 60}"')
+    assert read_toml(path) == {"a": "../" * 60}
 
 
 def test_an_integer_beyond_all_floats_is_infinite(tmp_path):
@@ -264,3 +303,9 @@ def test_a_pointer_of_lfs_is_no_file_to_read(tmp_path):
     for read in (read_toml, partial(read_json, remedy="do this")):
         with refused("a is a pointer of Git LFS.*git lfs pull"):
             read(path)
+
+
+def test_a_text_with_a_character_zero_is_no_path():
+    for paths in (([Path("a\0")], []), ([], [("--output-dir", Path("a\0"))])):
+        with refused("'a.x00' is no path"):
+            refuse_overwriting(*paths)
