@@ -12,7 +12,6 @@ from typing import Any
 
 from robot_sysid import __version__
 from robot_sysid.commands import (
-    COMMAND_STARTS,
     COMMANDS,
     PROGRAM,
     make_output_tolerant,
@@ -67,10 +66,8 @@ def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = ()) ->
             return command.run(values, console)
         except SysidError as error:
             stated = _with_columns_file(error)
-            lines = [str(stated)]
-            for line in remedies(stated, name, arguments, values):
-                lines.append(f"  {line}")
-            return _report_error("\n".join(lines), error.exit_code, debug)
+            lines = [*remedies(stated, name, arguments, values)]
+            return _report_error(stated.sentence, error.exit_code, debug, lines)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
             message = f"the memory is not enough; {remedy}"
@@ -96,9 +93,7 @@ def _with_columns_file(error: SysidError) -> SysidError:
         pass
     except OSError:
         return InputError(str(error))
-    text = (
-        f"{error}. {error.name} has the columns put right: read it, and go on with it:"
-    )
+    text = f"{error.sentence}. {error.name} has the columns put right: read it, and go on with it:"
     return error.with_message(text, error.command_lines)
 
 
@@ -178,33 +173,28 @@ def _report_unexpected(error: BaseException, debug: bool) -> int:
     return _report_error(message, SysidError.exit_code, debug)
 
 
-def _report_error(message: str, code: int, debug: bool) -> int:
-    """Print an error, with ``debug`` its traceback too; return the exit code."""
+def _report_error(
+    message: str, code: int, debug: bool, commands: Sequence[str] = ()
+) -> int:
+    """Print an error, and commands that remedy it below; return the exit code.
+
+    ``debug``: print its traceback, too.
+    """
     if debug:
         import traceback
 
         traceback.print_exc()
     with contextlib.suppress(InputError):
-        for line in message_lines(f"{PROGRAM}: error: {message}"):
-            print_line(line, sys.stderr)
+        print_line(on_one_line(f"{PROGRAM}: error: {message}"), sys.stderr)
+        for command in commands:
+            print_line(f"  {command}", sys.stderr)
     return code
 
 
-def message_lines(message: str) -> list[str]:
-    """Return the lines of an error message: its text on one line, each command on its own.
-
-    Text behind a command begins a line again. A very long text is shortened in its middle.
-    """
-    lines = [""]
-    for line in message.splitlines():
-        if line.startswith(COMMAND_STARTS):
-            lines += [line, ""]
-        else:
-            lines[-1] = " ".join([*lines[-1].split(), *line.split()])
-    for index, text in enumerate(lines):
-        if len(text) > 1900 and not text.startswith(COMMAND_STARTS):
-            lines[index] = f"{text[:1500]} [...] {text[-400:]}"
-    return [*filter(None, lines)]
+def on_one_line(message: str) -> str:
+    """Return a text without ends of lines, and a very long one without its middle."""
+    text = " ".join(message.split())
+    return text if len(text) <= 1900 else f"{text[:1500]} [...] {text[-400:]}"
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@
     └── HardwareAbort          exit code 3: a real (or simulated) arm was stopped
 
 Every message is one line: what is wrong, where, and what to do about it. A command to run for that
-follows alone on a line of its own, after two blanks.
+follows alone on a line of its own, after two blanks. It never stands in the message, which may hold
+names that a stranger chose.
 
 A request to stop is a signal (Ctrl-C, kill, a closed terminal). Python turns it into
 KeyboardInterrupt in the main thread; the context managers at the end say when it has to wait.
@@ -54,6 +55,11 @@ class SysidError(Exception):
 
     exit_code = 1
 
+    @property
+    def sentence(self) -> str:
+        """The message without commands below it."""
+        return str(self.args[0]) if self.args else ""
+
 
 class InputError(SysidError):
     """Bad input or usage; the user has to change something.
@@ -63,6 +69,7 @@ class InputError(SysidError):
             the command that failed, one of them lets it go on. Empty where options do not help.
         command: name of the only command that has these options; "" where every one has them.
         command_lines: complete commands that remedy it, each as words, in place of ``options``.
+        install: command of the user's shell that installs what is missing; "" for nothing.
     """
 
     exit_code = 2
@@ -73,17 +80,23 @@ class InputError(SysidError):
         options: Sequence[tuple[str, ...]] = (),
         command: str = "",
         command_lines: Sequence[Sequence[str]] = (),
+        install: str = "",
     ) -> None:
         super().__init__(message)
         self.options = tuple(options)
         self.command = command
         self.command_lines = tuple(command_lines)
+        self.install = install
+
+    def __str__(self) -> str:
+        return "\n  ".join(filter(None, (self.sentence, self.install)))
 
     def with_message(
         self, message: str, command_lines: Sequence[Sequence[str]] = ()
     ) -> InputError:
         """Return an error with the same remedies and another message, such as a longer one."""
-        return InputError(message, self.options, self.command, command_lines)
+        remedies = self.options, self.command, command_lines, self.install
+        return InputError(message, *remedies)
 
 
 @contextlib.contextmanager
@@ -95,8 +108,9 @@ def prefix_input_errors(recording: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        message = f"{recording}: {error}" if recording else str(error)
-        raise InputError(message, error.options, error.command) from None
+        message = ": ".join(filter(None, (recording, error.sentence)))
+        remedies = error.options, error.command, error.command_lines, error.install
+        raise InputError(message, *remedies) from None
 
 
 class ColumnsError(InputError):

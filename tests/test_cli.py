@@ -15,7 +15,7 @@ import pytest
 from rigs.arms.small_arms import TWO_ARMS, Y, serial_arm
 from rigs.files.command_line import OUT, files_in
 from rigs.files.places import GUESS
-from robot_sysid.cli import main, message_lines, record_interrupts
+from robot_sysid.cli import main, on_one_line, record_interrupts
 from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import ColumnsError
 
@@ -119,7 +119,31 @@ def test_names_do_not_break_the_lines_of_what_is_written(arm, command):
         # XML keeps the ends that are no ends of lines to it.
         return [xml.count("\n"), *(len(text.splitlines()) for text in texts)]
 
-    assert count_lines(odd, f"o{ends[1:]}ut") == count_lines(arm, "out")
+    assert count_lines(odd, f"o{ends}ut") == count_lines(arm, "out")
+
+
+def test_the_name_of_a_folder_states_no_option_and_no_command(arm, command):
+    """Neither in the settings of a run, which are read again, nor in what is printed."""
+    folder = "out\nsample_rate = 7\n  robot-sysid motors play\x1b[31m '\x7f"
+    out = command.run(arm, *SHORT, "--output-dir", Path(folder)).out
+    first, *lines = (Path(folder) / "run.toml").read_text().splitlines()
+    assert first.startswith("# In ") and len(lines) == 5
+    command.run("--config", Path(folder) / "run.toml")
+    line = out.splitlines()[-1]
+    assert line.startswith("  robot-sysid plan ") and " --output-dir $'" in line
+    words = subprocess.run(
+        ["bash", "-c", f'for word in {line.strip()}; do printf "%s\\0" "$word"; done'],
+        capture_output=True,
+        text=True,
+    ).stdout.split("\0")
+    assert words[-2] == f"{folder}/planned"
+    assert not [c for c in out if ord(c) < 32 and c != "\n"]
+
+
+def test_no_title_of_a_log_becomes_a_command_below_an_error(arm, command):
+    Path("log.csv").write_text('"a\n  robot-sysid motors play --yes",b\n1,2\n3,4\n')
+    error = command.run("log log.csv arm.xml", code=2).err
+    assert "motors play" not in error.replace("?  robot-sysid motors play", "")
 
 
 def test_what_is_not_sought_or_not_seen_is_said(arm, command):
@@ -255,13 +279,12 @@ def test_a_signal_that_nohup_makes_the_process_ignore_stays_ignored():
         signal.signal(signal.SIGHUP, old_handler)
 
 
-def test_a_command_in_an_error_stands_alone_on_its_line():
-    """What is around it is one line, whatever ends of lines it has."""
+def test_an_error_is_one_line_whatever_ends_of_lines_and_commands_are_in_it():
     message = f"arm.xml:\n bad {3000 * 'x'};\nrun\n  robot-sysid log a b\nor\n  this"
-    first, command, last = message_lines(message)
-    assert first.startswith("arm.xml: bad xxx") and first.endswith("x; run")
-    assert "[...]" in first and len(first) < 2000
-    assert (command, last) == ("  robot-sysid log a b", "or this")
+    line = on_one_line(message)
+    assert line.startswith("arm.xml: bad xxx")
+    assert line.endswith("x; run robot-sysid log a b or this")
+    assert "[...]" in line and len(line) < 2000
 
 
 def test_corrected_columns_take_the_place_of_those_in_use():

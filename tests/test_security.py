@@ -40,6 +40,13 @@ HELD = {
     "control characters": "test_cli.py::test_names_cannot_steer_the_terminal",
     "column titles": "commands/test_log.py::test_titles_cannot_steer_the_terminal",
     "ends of lines": "test_cli.py::test_names_do_not_break_the_lines_of_what_is_written",
+    "state no option": "test_cli.py::"
+    "test_the_name_of_a_folder_states_no_option_and_no_command",
+    "a command in a title": "test_cli.py::"
+    "test_no_title_of_a_log_becomes_a_command_below_an_error",
+    "so in the report": "report/test_page.py::test_a_page_has_no_control_characters",
+    "and in cards": "results/test_cards.py::"
+    "test_the_name_of_a_frame_begins_no_line_of_a_card",
     "names with HTML": "report/test_page.py::"
     "test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere",
     "a xacro, which": "mjcf/test_xacro_files.py::test_a_strangers_xacro_does_no_harm",

@@ -22,7 +22,7 @@ from robot_sysid.pipeline.planning import draft_motor_file, draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in
-from robot_sysid.records.installation import install_hint
+from robot_sysid.records.installation import missing_library
 from robot_sysid.records.messages import Progress, torque_unit, with_error
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines, verdict_line
@@ -139,8 +139,7 @@ class Result(Identification):
         try:
             from matplotlib.figure import Figure
         except ImportError:
-            hint = install_hint("matplotlib", "report")
-            raise InputError(f"plot() {hint}") from None
+            raise missing_library("plot()", "matplotlib", "report") from None
         count = len(traces.joints)
         height = AXIS_HEIGHT * count + FIGURE_MARGIN
         figure = Figure(figsize=(FIGURE_WIDTH, height), layout="constrained")

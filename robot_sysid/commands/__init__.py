@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Optional
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.messages import Detail, Progress, printable
 from robot_sysid.records.option_fields import OptionRecord, option
 
 PROGRAM = "robot-sysid"
@@ -42,15 +42,6 @@ _USES = {
     "MODEL": "test the identification on the model's own simulation",
     "example kinova": "copy an example with two logs, to try all this",
 }
-# What a title or a path from a file could do to a terminal; the last two ranges are line ends and
-# marks by which text runs from right to left.
-_CONTROL_CODES = (
-    *range(32),
-    *range(127, 160),
-    *range(0x2028, 0x202F),
-    *range(0x2066, 0x206A),
-)
-_REPLACEMENTS = {code: "?" for code in _CONTROL_CODES if chr(code) != "\t"}
 # Escape code of red, yellow, green and bold letters to the beginnings of lines that have them on a
 # terminal; the first beginning that fits counts.
 _COLOURS = {
@@ -79,7 +70,7 @@ def print_line(message: str, stream: Any) -> None:
     Control characters, and ends of lines within it, are shown as "?". On a terminal a line is
     wrapped, and its beginning may have a colour.
     """
-    text = message.translate(_REPLACEMENTS)
+    text = printable(message)
     print_text(f"{_terminal_text(text) if stream.isatty() else text}\n", stream)
 
 

@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from robot_sysid.commands import Console
@@ -16,6 +15,7 @@ from robot_sysid.config import OutputOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import temporary_folder
 from robot_sysid.records.installation import PACKAGE_FOLDER
+from robot_sysid.records.messages import shell_word
 from robot_sysid.records.option_fields import (
     OptionRecord,
     option,
@@ -67,7 +67,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     _copy_example(source_folder(name), folder)
     console.stage(f"Example copied to {folder}. What to do with it:")
     names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
-    paths = {key: quote(str(folder / name)) for key, name in names.items()}
+    paths = {key: shell_word(str(folder / name)) for key, name in names.items()}
     commands = []
     for heading, template in WALKTHROUGH.items():
         commands.append(template.format(**paths))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from robot_sysid.commands import PROGRAM, Console, overview
@@ -25,6 +23,7 @@ from robot_sysid.config import (
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.records import file_access
+from robot_sysid.records.messages import printable, quoted_text, shell_line
 from robot_sysid.records.option_fields import given_values
 from robot_sysid.report.drawing import require_matplotlib
 
@@ -145,8 +144,8 @@ def _write_settings(config: Config, command: str) -> None:
         path = config.plan_file.with_suffix(".toml")
     if path.resolve() == Path(config.output.config or "").resolve():
         return
-    words = f"{PROGRAM} {command}".strip()
-    text = f"# In {Path.cwd()}: {words} --config {quote(str(path))}\n"
+    words = [PROGRAM, *command.split(), "--config", str(path)]
+    text = f"# In {printable(str(Path.cwd()))}: {shell_line(words)}\n"
     file_access.write_atomically(path, text + settings_text(config))
 
 
@@ -165,7 +164,7 @@ def _toml_value(value: Any) -> str:
         return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, (bool, int, float)):
         return str(value).lower()
-    return json.dumps(str(value), ensure_ascii=False)
+    return quoted_text(str(value))
 
 
 @contextlib.contextmanager

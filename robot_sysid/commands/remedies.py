@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from robot_sysid.commands import PROGRAM
 from robot_sysid.errors import ColumnsError, InputError, SysidError
 from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
+from robot_sysid.records.messages import shell_line
 from robot_sysid.records.option_fields import leaves
 
 
@@ -28,23 +28,25 @@ def remedies(
     """
     if not isinstance(error, InputError):
         return
+    if error.install:
+        yield error.install
     if error.command_lines:
         for words in error.command_lines:
-            yield shlex.join([PROGRAM, *words])
+            yield shell_line([PROGRAM, *words])
         return
     logs = _paths_of_logs(values)
     for stated in error.options:
         option = _with_units_of(values, stated)
         # A payload of known mass has all that the weighing needs, but for the first scales.
         if error.command == "payload" and logs and "known_mass" not in values:
-            yield shlex.join(_weighing_command(logs, values, option))
+            yield shell_line(_weighing_command(logs, values, option))
         # Only that command has these options, or who has stated columns goes on to it.
         elif name == "log" and (error.command or isinstance(error, ColumnsError)):
             step = step_after(SAME_LOG, values, *option, log=logs)
-            yield shlex.join(step.command)
+            yield shell_line(step.command)
         elif error.command in ("", name):
             typed = _without_columns(arguments, option)
-            yield shlex.join([PROGRAM, *name.split(), *typed, *option])
+            yield shell_line([PROGRAM, *name.split(), *typed, *option])
 
 
 def _paths_of_logs(values: Mapping[str, Any]) -> list[Path]:

@@ -21,7 +21,7 @@ from typing import Any, Optional
 from robot_sysid.damiao.bus import LinkError, SystemClock
 from robot_sysid.damiao.protocol import BusTiming, CanFrame
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.records.installation import install_hint
+from robot_sysid.records.installation import missing_library
 from robot_sysid.records.option_fields import OptionRecord, option
 from robot_sysid.wording import option_name
 
@@ -82,9 +82,7 @@ def import_can() -> Any:
     try:
         import can
     except ImportError:
-        raise InputError(
-            f"talking to motors {install_hint('python-can', 'can')}"
-        ) from None
+        raise missing_library("talking to motors", "python-can", "can") from None
     return can
 
 

@@ -25,7 +25,7 @@ from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.records import Array, ColumnMap
 from robot_sysid.records.data import shift_behind
 from robot_sysid.records.file_access import refuse_special_file
-from robot_sysid.records.installation import install_hint
+from robot_sysid.records.installation import missing_library
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 
@@ -242,8 +242,8 @@ def import_optional(module: str, extra: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        hint = install_hint(module.split(".")[0], extra)
-        raise InputError(f"export this log as CSV; reading it {hint}") from None
+        start = "export this log as CSV; reading it"
+        raise missing_library(start, module.split(".")[0], extra) from None
 
 
 @contextlib.contextmanager

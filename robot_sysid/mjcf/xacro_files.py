@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.errors import ModelError
-from robot_sysid.records.installation import install_hint
+from robot_sysid.records.installation import missing_library
 
 
 def is_xacro(root: Any) -> bool:
@@ -49,10 +49,11 @@ def expand_xacro(path: Path, mesh_dir: Path | None) -> bytes:
     ModelError where xacro is not installed, or cannot expand the file within its limits.
     """
     if importlib.util.find_spec("xacro") is None:
-        raise ModelError(
+        start = (
             f"{path} is a xacro file: pass the URDF that 'xacro {path.name} -o arm.urdf' writes, "
-            f"or have it expanded here, which {install_hint('xacro', 'xacro')}"
+            "or have it expanded here, which"
         )
+        raise missing_library(start, "xacro", "xacro", ModelError)
     request = {
         "sys_path": sys.path,
         "path": str(path),

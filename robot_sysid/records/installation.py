@@ -5,19 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 
 from robot_sysid import __version__
+from robot_sysid.errors import InputError
 
 PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
 """Folder of the package ``robot_sysid``."""
 
 
-def install_hint(missing: str, extra: str) -> str:
-    """Return the end of a message: what is missing, and the command that installs it.
+def missing_library(
+    start: str, missing: str, extra: str, error_class: type[InputError] = InputError
+) -> InputError:
+    """Return the error for a library that is not installed, with the command that installs it.
 
     Args:
+        start: of the sentence: what needs it.
         missing: the missing libraries, such as "matplotlib and jinja2".
         extra: name of the optional dependencies in pyproject.toml that contain them.
+        error_class: of the error.
     """
-    return f"needs {missing}; install with:\n  {install_command(extra)}"
+    text = f"{start} needs {missing}; install with:"
+    return error_class(text, install=install_command(extra))
 
 
 def install_command(extra: str, package_folder: Path = PACKAGE_FOLDER) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -15,6 +16,49 @@ WHOLE_PERCENT = 99.5
 """Percentage from which on two digits would be too few, so that it is written as a whole number."""
 MOST_PERCENT = 1000.0
 """Percentage above which the number says no more than that it is too large."""
+# What a title or a path from a file could do to a terminal or a page; the last two ranges are line
+# ends and marks by which text runs from right to left.
+_CONTROL_CODES = (
+    *range(32),
+    *range(127, 160),
+    *range(0x2028, 0x202F),
+    *range(0x2066, 0x206A),
+)
+_REPLACEMENTS = {code: "?" for code in _CONTROL_CODES if chr(code) != "\t"}
+_ESCAPES = {code: f"\\u{code:04x}" for code in _CONTROL_CODES}
+# Of a word for a shell; the byte of a path that is no UTF-8 is kept in a surrogate.
+_SHELL_ESCAPES = {
+    **{code: f"\\x{code:02x}" for code in range(128) if code in _CONTROL_CODES},
+    **{code: f"\\u{code:04x}" for code in _CONTROL_CODES if code >= 128},
+    **{0xDC00 + byte: f"\\x{byte:02x}" for byte in range(128, 256)},
+    ord("'"): "\\'",
+    ord("\\"): "\\\\",
+}
+
+
+def printable(text: str) -> str:
+    """Return a text with "?" in the place of control characters and ends of lines."""
+    return text.translate(_REPLACEMENTS)
+
+
+def quoted_text(text: str) -> str:
+    """Return a text in quotation marks on one line, as Python, TOML and JSON read it."""
+    return json.dumps(text, ensure_ascii=False).translate(_ESCAPES)
+
+
+def shell_line(words: Iterable[str]) -> str:
+    """Return a command on one line that a shell reads as these words.
+
+    A word with control characters has the form $'a\\x0ab', which bash, zsh and ksh know.
+    """
+    return " ".join(map(shell_word, words))
+
+
+def shell_word(word: str) -> str:
+    """Return a word of a command as a shell reads it, see ``shell_line``."""
+    if word.isprintable():
+        return shlex.quote(word)
+    return f"$'{word.translate(_SHELL_ESCAPES)}'"
 
 
 def number_text(value: float, error: float | None = None) -> str:
@@ -171,7 +215,7 @@ class NextStep:
 
         So for what to do after that.
         """
-        own = f"{self.sentence}:", f"  {shlex.join(self.command)}"
+        own = f"{self.sentence}:", f"  {shell_line(self.command)}"
         return own if self.then is None else (*own, *self.then.lines())
 
 

@@ -14,8 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from robot_sysid.errors import InputError
-from robot_sysid.records.installation import install_hint
+from robot_sysid.records.installation import missing_library
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
@@ -138,4 +137,4 @@ def _inline_tag(tag: re.Match[str]) -> str:
 def require_matplotlib() -> None:
     """Raise InputError if matplotlib is missing, before the long computations of a run."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise InputError(f"a report {install_hint('matplotlib', 'report')}")
+        raise missing_library("a report", "matplotlib", "report")

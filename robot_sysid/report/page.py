@@ -23,7 +23,13 @@ from robot_sysid.records.file_access import (
     require_writable,
     write_atomically,
 )
-from robot_sysid.records.messages import Level, Progress, number_text, percent
+from robot_sysid.records.messages import (
+    Level,
+    Progress,
+    number_text,
+    percent,
+    printable,
+)
 from robot_sysid.records.quantities import BEYOND
 from robot_sysid.report import figures
 from robot_sysid.report.drawing import Figure, drawing_style
@@ -101,7 +107,8 @@ def write_report(
         raise InputError(
             f"{runs[0].folder}: a result cannot be shown ({cause})"
         ) from None
-    write_atomically(destination / name, text + "\n")
+    lines = map(printable, text.split("\n"))
+    write_atomically(destination / name, "\n".join([*lines, ""]))
     return destination / name
 
 

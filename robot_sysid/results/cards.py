@@ -22,7 +22,7 @@ from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, InertialParameters, RobotModel
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS, makers_of
-from robot_sysid.records.messages import with_error
+from robot_sysid.records.messages import printable, with_error
 from robot_sysid.records.quantities import BodyEstimate, load_errors, principal_moments
 from robot_sysid.results.record import Payload
 
@@ -166,6 +166,8 @@ def _template(name: str) -> Any:
         undefined=StrictUndefined,
         trim_blocks=True,
         keep_trailing_newline=True,
+        # Names of frames and files are a stranger's: none begins a line.
+        finalize=lambda value: printable(str(value)),
     )
     environment.filters.update(n=join_numbers, pm=_number_with_error, py=repr)
     return environment.get_template(f"{name}.txt")

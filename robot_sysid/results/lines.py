@@ -6,7 +6,6 @@ and what limits it. It is printed last, with the files to use and the next step.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ from robot_sysid.records.file_access import (
     curved_file_in,
     models_in,
 )
-from robot_sysid.records.messages import Detail, NextStep, percent
+from robot_sysid.records.messages import Detail, NextStep, percent, quoted_text
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD
@@ -291,7 +290,7 @@ def use_lines(
         start: beginning of the first line, such as "Use this file".
         reason: what speaks for it, behind the path; "" for nothing.
     """
-    text = json.dumps(str(path), ensure_ascii=False)
+    text = quoted_text(str(path))
     return (
         f"{start}: {path}{reason}",
         f"  mujoco.MjModel.from_xml_path({text})",

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import shlex
+import subprocess
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,6 +15,9 @@ from robot_sysid.records.messages import (
     number_text,
     percent,
     position_unit,
+    printable,
+    quoted_text,
+    shell_line,
     torque_unit,
 )
 from robot_sysid.records.parameters import ZERO
@@ -71,3 +78,27 @@ def test_every_friction_term_has_a_unit_but_the_loss_per_load(is_slide):
         assert is_slide or not unit.startswith("N·s")
     assert TERMS["coulomb"].at("j", is_slide).unit == torque_unit(is_slide)
     assert ZERO.at("j", is_slide).unit == position_unit(is_slide)
+
+
+TEXTS = st.text(st.characters(blacklist_characters="\0", blacklist_categories=("Cs",)))
+
+
+@given(TEXTS)
+def test_no_text_begins_a_line_or_steers_a_terminal(text):
+    """But for words without control characters, which stay as they are."""
+    for line in (printable(text), quoted_text(text), shell_line([text])):
+        assert (
+            len(line.splitlines()) <= 1 and "\x1b" not in line and "\u202e" not in line
+        )
+    assert json.loads(quoted_text(text)) == text
+    if text.isprintable():
+        assert shell_line([text]) == shlex.quote(text)
+
+
+def test_a_shell_reads_the_words_of_a_line_again():
+    words = ["a b", "it's\n\\x", "\x1b[31m", "\udcff", "é\u202e"]
+    line = shell_line(["printf", r"%s\0", *words])
+    printed = subprocess.run(
+        ["bash", "-c", line], capture_output=True, env={"LC_ALL": "C.UTF-8"}
+    ).stdout
+    assert printed.decode(errors="surrogateescape").split("\0")[:-1] == words

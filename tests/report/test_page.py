@@ -11,6 +11,7 @@ from markupsafe import escape
 from rigs.files import results as made
 from rigs.files.reports import payload_result, saved
 from robot_sysid.errors import InputError
+from robot_sysid.records.messages import printable
 from robot_sysid.report.drawing import COLOURS
 from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run
@@ -134,6 +135,15 @@ def test_a_command_of_the_verdict_stands_alone_to_be_copied(link_run, tmp_path):
     text = page_with(link_run, tmp_path, verdict=lines)
     assert "<pre>robot-sysid log &#39;a b.csv&#39;</pre>" in text
     assert "<p>Next, to test it:</p>" in text
+
+
+def test_a_page_has_no_control_characters(link_run, tmp_path):
+    odd = "a\x1b[2J\u202eb\x9bc.csv"
+    text = page_with(link_run, tmp_path, logs=[odd], failure=odd, source=odd)
+    assert "a?[2J?b?c.csv" in text
+    assert not [
+        letter for letter in text if letter != "\n" and printable(letter) != letter
+    ]
 
 
 def rating_in(text):

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from rigs.arms.bodies import SHAPES, body_estimate, card_of, random_body
 from rigs.arms.small_arms import SEEDS
+from rigs.files import results as made
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records.quantities import load_errors
-from robot_sysid.results.cards import number_groups
+from robot_sysid.results.cards import card_text, number_groups
 
 EXACT = np.eye(10) * 1e-40
 """Covariance of a body that is known to the last digit."""
@@ -182,3 +184,11 @@ def test_an_impossible_body_has_no_card(mass, moments):
         ExportError, match="not a possible rigid body, so there is no card"
     ):
         number_groups(body_estimate(mass, [0.1, 0.0, 0.0], inertia))
+
+
+def test_the_name_of_a_frame_begins_no_line_of_a_card():
+    own = made.payload().payload
+    flange = replace(own.flange, name="site 'a\nmass 9 kg'", note="b\nmass 9 kg")
+    payload = replace(own, flange=flange)
+    text = card_text(payload, number_groups(payload), made.ARM)
+    assert "?mass 9 kg" in text and "\nmass 9 kg" not in text
