@@ -9,6 +9,7 @@ states; those of an arm are those of the written model, to ``EXACT_DIGITS``.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, InertialParameters, RobotModel
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS, makers_of
+from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import printable, with_error
 from robot_sysid.records.quantities import BodyEstimate, load_errors, principal_moments
 from robot_sysid.results.record import Payload
@@ -37,8 +39,12 @@ is 1e-11 of its size."""
 # Share of the largest number of a group below which a number is rounding error: about 1e4 times the
 # relative rounding error of a double.
 _ROUNDING = 1e-12
+COMMENT_WIDTH = 100
+"""Largest number of characters of a comment's line, as in the templates."""
 CONTROLLER_ROUNDING = 1e-6
 """Share of the sum of principal moments that a controller does not keep."""
+UNKNOWN_DIGITS = 1
+"""Number of significant digits of a number that the data does not determine: a stand-in."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
 
@@ -72,7 +78,12 @@ def card_text(
             flange_origin=round_to_errors(flange.translation, exact),
             flange_quaternion=round_to_errors(quaternion, exact),
             errors=load_errors(payload).tolist(),
-            not_known=NOT_KNOWN,
+            inertia_comment=textwrap.fill(
+                inertia_source(payload),
+                COMMENT_WIDTH,
+                initial_indent="# ",
+                subsequent_indent="# ",
+            ),
             choices=[key for key in CHOICES if key != AUTO] if choice == AUTO else [],
         )
         texts.append(text)
@@ -225,6 +236,23 @@ def number_groups(body: BodyEstimate) -> dict[str, Any]:
     }
 
 
+def inertia_source(body: BodyEstimate) -> str:
+    """Return how the inertia of a payload's cards was made, and how well it is known.
+
+    Every card that states an inertia says so beside it: what is copied into a controller has no ±.
+    """
+    moments, errors = principal_moments(body)
+    if not np.all(np.isfinite(errors)):
+        return NOT_KNOWN
+    listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
+    if np.all(moments >= SURE * errors):
+        return f"Inertia identified: principal moments {listed} kg m^2."
+    return (
+        f"Inertia identified in part: principal moments {listed} kg m^2. Those within three ± of "
+        "zero are not known."
+    )
+
+
 def _is_possible(moments: Array, rounding: float) -> bool:
     """Return whether a rigid body has these principal moments (3,) [kg m^2], but for rounding."""
     tolerance = CONTROLLER_ROUNDING * np.sum(np.abs(moments)) + rounding
@@ -264,8 +292,8 @@ def round_to_errors(
 ) -> list[float]:
     """Return m numbers rounded at the second digit of their standard errors, or to ``DIGITS``.
 
-    Three digits where the error is not known. Zero where they are below ``_ROUNDING`` times the
-    largest.
+    ``UNKNOWN_DIGITS`` where the error is not known. Zero where they are below ``_ROUNDING`` times
+    the largest.
 
     Args:
         values: (m,) numbers.
@@ -279,7 +307,7 @@ def round_to_errors(
     for value, error in zip(numbers.tolist(), errors):
         digits = DIGITS
         if not math.isfinite(error):
-            digits = min(3 + extra_digits, DIGITS)
+            digits = min(UNKNOWN_DIGITS + extra_digits, DIGITS)
         elif error > 0.0:
             value = round(value, 1 - math.floor(math.log10(error)) + extra_digits)
         rounded.append(float(f"{value:.{digits}g}") + 0.0)

@@ -127,11 +127,12 @@ WITH_AXES = (read_kuka, read_abb)
 def bodies_in(body):
     """Yield each card's reader and what it reads: mass, centre of mass and inertia."""
     _, *cards = card_of(body, "all").split("\n== ")
+    numbers = [card.strip().splitlines()[-1] for card in cards]
     # Not all controllers read a number with an exponent.
-    assert not re.search(r"\d[eE][-+\d]", "".join(cards))
+    assert not re.search(r"\d[eE][-+\d]", "".join(numbers))
     assert len(cards) == len(READERS)
-    for read, card in zip(READERS, cards):
-        yield read, read(card.strip().splitlines()[-1])
+    for read, number in zip(READERS, numbers):
+        yield read, read(number)
 
 
 @given(SEEDS, st.sampled_from(SHAPES))
@@ -172,6 +173,30 @@ def test_cards_are_rounded_by_less_than_their_errors_to_a_possible_body(
         least = np.linalg.eigvalsh(inertia)[0]
         assert 2.0 * moments[-1] - np.sum(moments) <= 2e-6 * np.sum(moments) + 1e-15
         assert moments[0] >= 0.49 * least - 1e-15
+
+
+@pytest.mark.parametrize(
+    ("error", "n_identified", "source"),
+    [
+        (1e-4, 10, "# Inertia identified: principal moments 0.00200 ± 0.00010"),
+        (8e-4, 10, "# Inertia identified in part: principal moments 0.00200 ± 0.00080"),
+        (1e-4, 4, "# Inertia not known: a ball of aluminium"),
+    ],
+)
+def test_every_card_with_an_inertia_says_how_it_was_made(error, n_identified, source):
+    covariance = np.diag([1e-4] * 4 + [error**2] * 6)
+    inertia = np.diag([2e-3, 2.5e-3, 1e-3])
+    body = body_estimate(1.5, np.zeros(3), inertia, covariance, n_identified)
+    plain, *cards = card_of(body, "all").split("\n== ")
+    assert source in plain
+    for read, card in zip(READERS, cards):
+        assert (source in card) == (read not in (read_kinova, read_point)), card
+
+
+def test_an_inertia_that_is_not_known_has_one_digit():
+    moments = np.diag([2.347e-3, 2.347e-3, 2.347e-3])
+    body = body_estimate(1.5, np.zeros(3), moments, n_identified=4)
+    assert number_groups(body)["inertia_xx_yy_zz_xy_xz_yz"][0] == 0.002
 
 
 @pytest.mark.parametrize(
