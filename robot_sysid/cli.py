@@ -31,6 +31,13 @@ from robot_sysid.errors import (
 from robot_sysid.pipeline.motors import motors_required
 from robot_sysid.records.option_fields import suggestion
 
+# MuJoCo 4 spreads its files over three packages. Where pip upgrades release 3 in place, it installs
+# these first and then removes the files of release 3, among them those of the same names.
+_DAMAGED_MUJOCO = """MuJoCo does not load; pip leaves it so where it upgrades release 3 to 4.
+Install it anew:
+  pip uninstall -y mujoco mujoco-core mujoco-studio
+  pip install mujoco"""
+
 
 def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = ()) -> int:
     """Run a command and return its exit code, see ``errors.EXIT_CODES``.
@@ -161,16 +168,28 @@ def _limit_libraries() -> None:
 def _report_unexpected(error: BaseException, debug: bool) -> int:
     """Print an error that is not raised on purpose and return the exit code.
 
-    It is that of InputError where the system refused a file, else that of SysidError.
+    It is that of InputError where the system refused a file or MuJoCo does not load, else that of
+    SysidError.
     """
     if isinstance(error, OSError) and error.strerror:
         # A file that is gone, a name that is too long, a disk that fails.
         fault = f"{error.strerror}: {error.filename or 'a temporary file'}"
         message = f"{fault}; check it, or choose another"
         return _report_error(message, InputError.exit_code, debug)
+    if isinstance(error, ImportError) and not _is_mujoco_whole():
+        return _report_error(_DAMAGED_MUJOCO, InputError.exit_code, debug)
     hint = "this is a defect in robot-sysid; run again with --debug and report it"
     message = f"{type(error).__name__}: {error} ({hint})"
     return _report_error(message, SysidError.exit_code, debug)
+
+
+def _is_mujoco_whole() -> bool:
+    """Return whether MuJoCo can be imported, whatever else cannot."""
+    try:
+        importlib.import_module("mujoco")
+    except ImportError:
+        return False
+    return True
 
 
 def _report_error(

@@ -266,6 +266,27 @@ def test_a_process_leaves_nothing_but_results_though_its_reader_goes_away(arm):
     assert (arm.parent / "sysid_output" / "params.json").is_file()
 
 
+def test_a_mujoco_that_does_not_load_is_no_defect_of_ours(arm):
+    """As pip leaves it after `pip install -U mujoco` from release 3 to 4."""
+    damaged = arm.parent / "site" / "mujoco" / "__init__.py"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text("raise ImportError('core bindings are missing')", "utf-8")
+    paths = [str(damaged.parents[1]), os.environ.get("PYTHONPATH", "")]
+    completed = subprocess.run(
+        [sys.executable, "-m", "robot_sysid", str(arm)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    first, *commands = completed.stderr.splitlines()
+    assert completed.returncode == 2
+    assert first.startswith("robot-sysid: error: MuJoCo does not load")
+    assert commands == [
+        "  pip uninstall -y mujoco mujoco-core mujoco-studio",
+        "  pip install mujoco",
+    ]
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no SIGHUP here")
 def test_a_signal_that_nohup_makes_the_process_ignore_stays_ignored():
     old_handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -50,7 +50,7 @@ _COLOURS = {
     32: ("Usable", "Self-test passed", "Unchanged"),
     1: ("Use this file", "Copy into", "Next"),
 }
-COMMAND_STARTS = ("  robot-sysid ", "  pip install ")
+COMMAND_STARTS = ("  robot-sysid ", "  pip install ", "  pip uninstall ")
 """Beginnings of lines that are a command and nothing else, which can be pasted into a shell."""
 # Beginnings of lines to paste, which are never wrapped.
 _SHELL_LINES = ("robot-sysid ", "  mujoco.", *COMMAND_STARTS)
