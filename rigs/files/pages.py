@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,6 +53,7 @@ _TABLE_COMMAND = re.compile(r"^\|.*\| `(robot-sysid [^`]+)` \|", re.MULTILINE)
 _PRINTED = re.compile(
     r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
+_EXIT_CODE = re.compile(r"# exit code (\d)")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
 
 
@@ -64,8 +66,16 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 
 def command_lines(block: str) -> list[list[str]]:
     """Return the words of each command of a block, continued lines joined, comments gone."""
-    lines = block.replace("\\\n", " ").replace(" && ", "\n").splitlines()
-    return [*filter(None, (shlex.split(line, comments=True) for line in lines))]
+    return [words for words, _ in commands(block)]
+
+
+def commands(block: str) -> Iterator[tuple[list[str], int]]:
+    """Yield the words of each command of a block, and the exit code that its comment states, or 0."""
+    for line in block.replace("\\\n", " ").replace(" && ", "\n").splitlines():
+        stated = _EXIT_CODE.search(line)
+        words = shlex.split(line, comments=True)
+        if words:
+            yield words, int(stated[1]) if stated else 0
 
 
 def printed(page: Path) -> list[str]:
