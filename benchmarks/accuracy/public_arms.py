@@ -184,11 +184,11 @@ def words_of_value(value: str | Sequence[float]) -> list[str]:
     return [value] if isinstance(value, str) else [f"{x:g}" for x in value]
 
 
-def run(arm: PublicArm) -> tuple[int, str]:
-    """Run a row's command in the working folder; return its exit code and what is refused."""
+def run_silently(command: str) -> tuple[int, str]:
+    """Run a command in the working folder; return its exit code and what is refused."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-        code = run_command(shlex.split(arm.command)[1:])
+        code = run_command(shlex.split(command)[1:])
     error = output.getvalue().rpartition("error: ")[2].partition(": ")[2]
     return code, re.split("[:;(]|, and", error)[0].strip()
 
@@ -259,7 +259,7 @@ def elsewhere(arm: PublicArm) -> str:
 
 def row(arm: PublicArm) -> str:
     """Return an arm's row of the table."""
-    code, error = run(arm)
+    code, error = run_silently(arm.command)
     if code != 0:
         return f"| {arm.name} | refused ({code}): {error} | | {arm.published} |"
     return f"| {arm.name} | {own_errors()} | {elsewhere(arm)} | {arm.published} |"
