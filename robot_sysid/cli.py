@@ -33,10 +33,14 @@ from robot_sysid.records.option_fields import suggestion
 
 # MuJoCo 4 spreads its files over three packages. Where pip upgrades release 3 in place, it installs
 # these first and then removes the files of release 3, among them those of the same names.
-_DAMAGED_MUJOCO = """MuJoCo does not load; pip leaves it so where it upgrades release 3 to 4.
-Install it anew:
-  pip uninstall -y mujoco mujoco-core mujoco-studio
-  pip install mujoco"""
+_DAMAGED_MUJOCO = (
+    "MuJoCo does not load; pip leaves it so where it upgrades release 3 to 4. "
+    "Install it anew:"
+)
+_INSTALL_ANEW = (
+    "pip uninstall -y mujoco mujoco-core mujoco-studio",
+    "pip install mujoco",
+)
 
 
 def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = ()) -> int:
@@ -177,7 +181,8 @@ def _report_unexpected(error: BaseException, debug: bool) -> int:
         message = f"{fault}; check it, or choose another"
         return _report_error(message, InputError.exit_code, debug)
     if isinstance(error, ImportError) and not _is_mujoco_whole():
-        return _report_error(_DAMAGED_MUJOCO, InputError.exit_code, debug)
+        code = InputError.exit_code
+        return _report_error(_DAMAGED_MUJOCO, code, debug, _INSTALL_ANEW)
     hint = "this is a defect in robot-sysid; run again with --debug and report it"
     message = f"{type(error).__name__}: {error} ({hint})"
     return _report_error(message, SysidError.exit_code, debug)

@@ -70,7 +70,7 @@ def command_lines(block: str) -> list[list[str]]:
 
 
 def commands(block: str) -> Iterator[tuple[list[str], int]]:
-    """Yield the words of each command of a block, and the exit code that its comment states, or 0."""
+    """Yield the words of each command of a block, and the exit code that its comment states."""
     for line in block.replace("\\\n", " ").replace(" && ", "\n").splitlines():
         stated = _EXIT_CODE.search(line)
         words = shlex.split(line, comments=True)

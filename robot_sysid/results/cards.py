@@ -78,11 +78,8 @@ def card_text(
             flange_origin=round_to_errors(flange.translation, exact),
             flange_quaternion=round_to_errors(quaternion, exact),
             errors=load_errors(payload).tolist(),
-            inertia_comment=textwrap.fill(
-                inertia_source(payload),
-                COMMENT_WIDTH,
-                initial_indent="# ",
-                subsequent_indent="# ",
+            inertia_lines=textwrap.wrap(
+                inertia_source(payload), COMMENT_WIDTH - len("# ")
             ),
             choices=[key for key in CHOICES if key != AUTO] if choice == AUTO else [],
         )
