@@ -19,6 +19,7 @@ from typing import Any
 from lxml import etree
 
 from robot_sysid.errors import InputError, ModelError, error_text
+from robot_sysid.mjcf.size import refuse_bytes, refuse_large
 from robot_sysid.mjcf.xacro_files import expand_xacro, is_xacro
 from robot_sysid.records.file_access import refuse_special_file, require_utf8
 
@@ -136,6 +137,7 @@ def read_document(path: Path, mesh_dir: Path | None = None) -> ModelDocument:
         )
     required = {"mujoco": "worldbody", "robot": "link"}.get(root.tag)
     if required and root.find(required) is not None:
+        refuse_large(document.path, root, lambda path: _parse(_read_bytes(path), path))
         return document
     fault = f"its root is <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
     advice = "pass the main model file, the one that includes this one"
@@ -152,6 +154,7 @@ def _read(path: Path, document: ModelDocument) -> Node:
     ModelError where one cannot be read.
     """
     raw = _read_bytes(path)
+    refuse_bytes(path, len(raw) + sum(map(len, document.contents.values())))
     root = _parse(raw, path)
     if is_xacro(root):
         raw = expand_xacro(path, document.mesh_dir)
@@ -207,6 +210,7 @@ def _read_bytes(path: Path) -> bytes:
     require_utf8(path)
     refuse_special_file(path, "pass a model file")
     try:
+        refuse_bytes(path, path.stat().st_size)
         return path.read_bytes()
     except IsADirectoryError:
         raise InputError(

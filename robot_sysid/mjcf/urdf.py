@@ -120,14 +120,20 @@ def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:
 
 def _moving_links(document: ModelDocument) -> set[str | None]:
     """Return the names of the links that a joint moves, or that are fixed to one that moves."""
-    joints = document.root.findall("joint")
-    moving = set()
-    # Each pass goes at least one joint further along fixed ones.
-    for _ in joints:
-        for joint in joints:
-            is_carried = get(joint.find("parent"), "link") in moving
-            if joint.get("type") != "fixed" or is_carried:
-                moving.add(get(joint.find("child"), "link"))
+    carried: dict[str | None, list[str | None]] = {}
+    waiting = []
+    for joint in document.root.findall("joint"):
+        parent = get(joint.find("parent"), "link")
+        child = get(joint.find("child"), "link")
+        carried.setdefault(parent, []).append(child)
+        if joint.get("type") != "fixed":
+            waiting.append(child)
+    moving: set[str | None] = set()
+    while waiting:
+        link = waiting.pop()
+        if link not in moving:
+            moving.add(link)
+            waiting += carried.get(link, [])
     return moving
 
 
