@@ -1,7 +1,7 @@
 """How far the arm is from itself, from the scene and from forbidden half-spaces, by MuJoCo.
 
 MuJoCo finds every pair of geoms nearer than a margin, with distance, point and normal; the
-boundaries of half-spaces are planes of a compiled copy (``planes``). The gradient of a distance is
+boundaries of half-spaces are planes beside the model (``planes``). The gradient of a distance is
 the relative velocity of the two nearest points along the normal, per unit joint rate.
 
 Links next to each other that overlap at rest, and links that overlap whatever the joints between
@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import InputError
@@ -33,12 +34,15 @@ from robot_sysid.model.bodies import (
     update_contacts,
 )
 from robot_sysid.model.chain import body_label
-from robot_sysid.motion.planes import NearPlanes, Planes
+from robot_sysid.motion.planes import Planes
 from robot_sysid.records import Array, HalfSpace, Limits, RobotModel
 from robot_sysid.spatial import cross
 
 HORIZON = 0.05
 """How much farther than the clearance a pair is still reported [m]."""
+SEARCH_HORIZON = 0.015
+"""The same where a search asks, which needs a slope near the clearance alone [m]: the time that
+distances take grows with the number of pairs, three to ten times between both."""
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair must keep, where this is less than the clearance."""
 
@@ -48,6 +52,9 @@ may get deeper."""
 LARGEST_OVERLAP = 1e-3
 """Depth up to which bodies that are inside each other at rest touch, as parked arms do [m]; deeper
 ones collide."""
+
+BITS = 31
+"""Bits of MuJoCo's contype and conaffinity, the sign's left out."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +95,24 @@ class _Near(NamedTuple):
     point: Array
     wall: Any
 
-    def tightest_pair(self) -> _Near:
-        """Return the pair with the least slack of each configuration, if below ``HORIZON``."""
+    def tightest_pair(self, horizon: float = HORIZON) -> _Near:
+        """Return the pair with the least slack of each configuration, if below a horizon [m]."""
         order = np.lexsort((self.slack, self.posture))
         _, first = np.unique(self.posture[order], return_index=True)
         tightest = order[first]
-        tightest = tightest[self.slack[tightest] < HORIZON]
+        tightest = tightest[self.slack[tightest] < horizon]
         return _Near(*(values[tightest] for values in self))
+
+
+_NOTHING_NEAR = _Near(
+    posture=np.zeros(0, dtype=int),
+    bodies=np.zeros((0, 2), dtype=int),
+    distance=np.zeros(0),
+    slack=np.zeros(0),
+    normal=np.zeros((0, 3)),
+    point=np.zeros((0, 3)),
+    wall=np.zeros(0, dtype=int),
+)
 
 
 class _Walls:
@@ -141,19 +159,23 @@ class _Walls:
             kept = np.minimum(space.clearance, KEPT_SHARE * height)
             self._required[number, held] = kept
 
-    def pairs(self, postures: Sequence[NearPlanes]) -> _Near:
-        """Return the pairs of boundaries and bodies that are near each other in postures."""
-        counts = [len(near.plane) for near in postures]
-        wall, body, distance, point = map(np.concatenate, zip(*postures))
+    def pairs(self, positions: Array, matrices: Array) -> _Near:
+        """Return the pairs of boundaries and bodies that are near each other in postures.
+
+        Args:
+            positions: (N, nbody, 3) of the bodies' origins in the world [m].
+            matrices: (N, nbody, 9) their rotation matrices.
+        """
+        near = self.planes.near_in_postures(positions, matrices)
         return _Near(
-            posture=np.repeat(np.arange(len(postures)), counts),
+            posture=near.posture,
             # A boundary is part of the world, body 0.
-            bodies=np.stack((np.zeros_like(body), body), axis=1),
-            distance=distance,
-            slack=distance - self._required[wall, body],
-            normal=self._normals[wall],
-            point=point,
-            wall=wall,
+            bodies=np.stack((np.zeros_like(near.body), near.body), axis=1),
+            distance=near.distance,
+            slack=near.distance - self._required[near.plane, near.body],
+            normal=self._normals[near.plane],
+            point=near.point,
+            wall=near.plane,
         )
 
 
@@ -180,7 +202,8 @@ class Clearance:
         self._arguments = robot, start, limits
         clearance = limits.clearance
         self._robot = robot
-        self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
+        self._clearance = clearance
+        self._model = model = _with_contacts(robot.mj_model)
         self._data = data_at_pose(model, robot.reference_qpos)
         self._joints = model.dof_jntid[robot.dof_index]
         self._walls: _Walls | None = None
@@ -190,7 +213,11 @@ class Clearance:
         self._rows = rows[link_of_body[:, None], link_of_body]
         self._required = np.full((model.nbody, model.nbody), clearance)
         self.collisions = self._set_required_distances(start, clearance)
+        links = np.abs(link_of_body[:, None] - link_of_body)
+        masks = model.geom_contype.copy(), model.geom_conaffinity.copy()
+        let_pairs_meet(model, masks, np.isfinite(self._required) & (links == 1))
         self._ignore_harmless_neighbours(start)
+        let_pairs_meet(model, masks, np.isfinite(self._required))
         if limits.spaces:
             self._data.qpos[robot.qpos_index] = start
             mujoco.mj_kinematics(model, self._data)
@@ -203,13 +230,13 @@ class Clearance:
     def slack(self, q: Array) -> tuple[Array, Array]:
         """Return the slack of the tightest pair and its gradient at joint positions q (N, n).
 
-        The slack (N,) is distance minus required distance [m], at most ``HORIZON``, and negative
-        where a distance is not kept. The gradient (N, n) is its derivative by the joint positions
-        [m/rad, or 1 for slides].
+        The slack (N,) is distance minus required distance [m], at most ``SEARCH_HORIZON``, and
+        negative where a distance is not kept. The gradient (N, n) is its derivative by the joint
+        positions [m/rad, or 1 for slides].
         """
         frames = np.empty((2, len(q), self._model.njnt, 3))
-        near = self._near(q, frames).tightest_pair()
-        value = np.full(len(q), HORIZON)
+        near = self._near(q, SEARCH_HORIZON, frames).tightest_pair(SEARCH_HORIZON)
+        value = np.full(len(q), SEARCH_HORIZON)
         value[near.posture] = near.slack
         # Component first, (3, C, n): a cross product by hand costs a tenth of numpy's.
         axes, anchors = frames[:, near.posture][:, :, self._joints].transpose(
@@ -255,34 +282,56 @@ class Clearance:
         """Return the names of two bodies, given by MuJoCo ids, joined by "and"."""
         return f"{body_label(self._model, first)} and {body_label(self._model, second)}"
 
-    def _near(self, q: Array, frames: Array | None = None) -> _Near:
+    def _near(
+        self, q: Array, horizon: float = HORIZON, frames: Array | None = None
+    ) -> _Near:
         """Return all pairs that are near each other at configurations q (N, n).
 
-        ``frames`` (2, N, joints of the model, 3) is filled with the joints' axes and anchors.
+        Args:
+            q: (N, n) configurations.
+            horizon: how much farther than the clearance pairs are looked for [m].
+            frames: (2, N, joints of the model, 3), filled with the joints' axes and anchors.
         """
         data = self._data
+        model = self._model
+        _set_margin(model, self._clearance + horizon)
+        qpos_index = self._robot.qpos_index
+        positions = np.empty((len(q), model.nbody, 3))
+        matrices = np.empty((len(q), model.nbody, 9))
         found = []
-        near_walls = []
         for k, configuration in enumerate(q):
-            data.qpos[self._robot.qpos_index] = configuration
-            update_contacts(self._model, data)
-            contact = data.contact
-            fields = (contact.geom, contact.dist, contact.frame, contact.pos)
-            found.append((np.full(data.ncon, k), *map(np.array, fields)))
-            if self._walls is not None:
-                near_walls.append(self._walls.planes.near(data))
+            data.qpos[qpos_index] = configuration
+            update_contacts(model, data)
+            # Mostly nothing is near: to ask MuJoCo for its arrays takes as long as to find that.
+            if data.ncon:
+                contact = data.contact
+                fields = (contact.geom, contact.dist, contact.frame, contact.pos)
+                found.append((np.full(data.ncon, k), *map(np.array, fields)))
+            positions[k] = data.xpos
+            matrices[k] = data.xmat
             if frames is not None:
                 frames[:, k] = data.xaxis, data.xanchor
-        posture, geoms, distance, frame, point = map(np.concatenate, zip(*found))
+        pairs = self._pairs_of_bodies(found)
+        if self._walls is None:
+            return pairs
+        of_walls = self._walls.pairs(positions, matrices)
+        return _Near(*map(np.concatenate, zip(pairs, of_walls)))
+
+    def _pairs_of_bodies(self, contacts: Sequence[tuple[Any, ...]]) -> _Near:
+        """Return the pairs of bodies of MuJoCo's contacts in postures with any.
+
+        Each entry is of one posture: its index (c,), then geoms (c, 2), distances (c,), frames (c,
+        9) and points (c, 3) of its contacts.
+        """
+        if not contacts:
+            return _NOTHING_NEAR
+        posture, geoms, distance, frame, point = map(np.concatenate, zip(*contacts))
         bodies = self._model.geom_bodyid[geoms]
         # A contact of a deformable body has no geom, so no body here.
         distance = np.where(np.all(geoms >= 0, axis=1), distance, np.inf)
         slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
         wall = np.full(len(posture), -1)
-        pairs = _Near(posture, bodies, distance, slack, frame[:, :3], point, wall)
-        if self._walls is None:
-            return pairs
-        return _Near(*map(np.concatenate, zip(pairs, self._walls.pairs(near_walls))))
+        return _Near(posture, bodies, distance, slack, frame[:, :3], point, wall)
 
     def _set_required_distances(self, start: Array, clearance: float) -> list[str]:
         """Set ``self._required``, in place, to the distance that each pair has to keep, from its
@@ -357,19 +406,60 @@ def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
     )
 
 
-def _with_margin(mj_model: Any, margin: float) -> Any:
-    """Return a copy of a compiled model in which contacts are reported up to a distance ``margin``
-    [m], also where the model switches contacts off.
+def _with_contacts(mj_model: Any) -> Any:
+    """Return a copy of a compiled model in which contacts are looked for, also where the model
+    switches them off.
     """
     model = copy.copy(mj_model)
-    model.geom_margin[:] = margin
     model.geom_gap[:] = 0.0
-    # The largest margin among a body's geoms: without it the search for close bodies misses pairs.
-    model.body_margin[:] = margin
-    model.pair_margin[:] = margin
     model.pair_gap[:] = 0.0
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
+
+
+def _set_margin(model: Any, margin: float) -> None:
+    """Let contacts of a compiled model be reported up to a distance [m], in place."""
+    model.geom_margin[:] = margin
+    # The largest margin among a body's geoms: without it the search for close bodies misses pairs.
+    model.body_margin[:] = margin
+    model.pair_margin[:] = margin
+
+
+def let_pairs_meet(
+    model: Any, masks: tuple[Any, Any], counts: NDArray[np.bool_]
+) -> None:
+    """Let geoms of a compiled model meet, in place, only where the distance of their bodies counts.
+
+    Most of the time that distances take is that of pairs whose distance is ignored, such as those
+    within another arm. Each set of geoms that meet the same others gets a bit of its own as
+    contype, and the bits of these others as conaffinity. With more sets than there are bits, the
+    model has the masks that are given.
+
+    Args:
+        model: the compiled model.
+        masks: (ngeom,) contype and conaffinity of its geoms in the model file.
+        counts: (nbody, nbody) of which pairs of bodies the distance counts.
+    """
+    kinds, kind_of_geom = np.unique(
+        np.stack((model.geom_bodyid, *masks)), axis=1, return_inverse=True
+    )
+    bodies, contypes, conaffinities = kinds
+    meets = (contypes[:, None] & conaffinities) != 0
+    meets = (meets | meets.T) & counts[bodies[:, None], bodies]
+    # Kinds with equal rows meet the same others, by symmetry in both directions.
+    rows, row_of_kind = np.unique(meets, axis=0, return_inverse=True)
+    if len(rows) <= BITS:
+        bits = 1 << np.arange(len(rows))
+        bit_of_kind = bits[np.ravel(row_of_kind)] * np.any(meets, axis=1)
+        met_by_kind = np.bitwise_or.reduce(np.where(meets, bit_of_kind, 0), axis=1)
+        kind_of_geom = np.ravel(kind_of_geom)
+        masks = bit_of_kind[kind_of_geom], met_by_kind[kind_of_geom]
+    model.geom_contype[:], model.geom_conaffinity[:] = masks
+    # What the search for close bodies looks at: the bits of all geoms of a body.
+    model.body_contype[:] = 0
+    model.body_conaffinity[:] = 0
+    np.bitwise_or.at(model.body_contype, model.geom_bodyid, model.geom_contype)
+    np.bitwise_or.at(model.body_conaffinity, model.geom_bodyid, model.geom_conaffinity)
 
 
 def approach_rates(

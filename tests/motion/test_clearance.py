@@ -1,6 +1,7 @@
 """Distances between the bodies of an arm and its scene: gradients, bounds, tested pairs."""
 
 from functools import cache
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -12,8 +13,15 @@ from rigs.arms import witness
 from rigs.arms.excitation_arms import TUBES_AND_POST, robot
 from rigs.arms.small_arms import SEEDS, X, Y, Z, hinge, link, world
 from robot_sysid.dynamics.inverse_dynamics import subtree
+from robot_sysid.model.bodies import update_contacts
 from robot_sysid.motion import LimitOptions
-from robot_sysid.motion.clearance import KEPT_SHARE, Clearance, unguarded_links
+from robot_sysid.motion.clearance import (
+    KEPT_SHARE,
+    SEARCH_HORIZON,
+    Clearance,
+    let_pairs_meet,
+    unguarded_links,
+)
 from robot_sysid.records import Limits
 
 KEEP = 0.01
@@ -106,7 +114,8 @@ def test_no_move_uses_up_more_slack_than_its_bound(clearance, reach, seed):
     before, after = clearance.slacks(np.vstack((start, end)))
     assert np.all(after >= before - clearance.rates @ np.abs(end - start) - 1e-6)
     least = clearance.slack(np.vstack((start, end)))[0]
-    assert least.tolist() == [np.min(before), np.min(after)]
+    nearest = np.min((before, after), axis=1)
+    assert least.tolist() == np.minimum(nearest, SEARCH_HORIZON).tolist()
 
 
 @pytest.mark.parametrize("offset, is_by_design", [(0.05, True), (0.18, False)])
@@ -190,3 +199,26 @@ def test_links_that_nothing_keeps_from_a_contact_are_named(shells, names):
         joint = hinge(f"joint{index}", (Z, X, Z)[index])
         content = link(joint, shell + content, f"link{index}")
     assert unguarded_links(robot(world(content))) == names
+
+
+@pytest.mark.parametrize("count", [4, 40])
+def test_pairs_that_do_not_count_meet_no_more(count):
+    """By masks of geoms; with more sets of geoms than bits all meet as in the file."""
+    ball = '<body pos="0 0 {}"><freejoint/><geom size=".1"/></body>'
+    balls = "".join(ball.format(0.004 * k) for k in range(count))
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><size memory="8M"/><worldbody>{balls}</worldbody></mujoco>'
+    )
+    masks = model.geom_contype.copy(), model.geom_conaffinity.copy()
+    # The first and the third ball meet, and those after the fourth all that are two before them.
+    first, second = np.indices((count + 1, count + 1))
+    counts = (second >= 5) & (first <= second - 2) & (first > 0)
+    counts[1, 3] = True
+    let_pairs_meet(model, masks, counts | counts.T)
+    data = mujoco.MjData(model)
+    update_contacts(model, data)
+    pairs = {
+        tuple(sorted(pair)) for pair in model.geom_bodyid[data.contact.geom].tolist()
+    }
+    every_pair = set(combinations(range(1, count + 1), 2))
+    assert pairs == ({(1, 3)} if count == 4 else every_pair)
