@@ -336,6 +336,108 @@ class LinksMotion:
             total = np.einsum("abn,jan->jbn", self.steps[link], total)
         return slopes
 
+    def weighted_gradient(
+        self, links: Sequence[int], weights: Array, qd: Array
+    ) -> Array:
+        """Return the gradient (3, N, n) by q, qd and qdd of the weighted sum of ``columns``.
+
+        Reverse differentiation of the recursions: with G_ij the spatial inertia whose parameters
+        are the weights of joint j's torque by link i, the sum is
+
+            sum_ij J_ij . (G_ij A_i - ad(V_i)^T G_ij V_i).
+
+        Its derivatives by J_ij, V_i and A_i are passed on inwards by Ad(T_i^-1)^T, and
+        d Ad(T_i^-1) / d q_i = -ad(S_i) Ad(T_i^-1).
+
+        Args:
+            links: as of ``columns``.
+            weights: (n, 10 len(links), N) of the columns.
+            qd: (N, n) joint speeds of this motion.
+        """
+        joints, _, samples = self.velocity.shape
+        # One pair per link and joint up to it, link by link, components first.
+        link_of_pair, joint_of_pair = np.tril_indices(joints)
+        twists = [
+            twist[: link + 1].copy() for link, twist in enumerate(self.jacobians())
+        ]
+        jacobian = np.concatenate(twists).swapaxes(0, 1)
+        parameters = np.zeros((joints, joints, N_INERTIAL, samples))
+        blocks = weights.reshape(joints, len(links), N_INERTIAL, samples)
+        parameters[list(links)] = blocks.swapaxes(0, 1)
+        inertia = parameters[link_of_pair, joint_of_pair].swapaxes(0, 1)
+        velocity = self.velocity[link_of_pair].swapaxes(0, 1)
+        acceleration = self.acceleration[link_of_pair].swapaxes(0, 1)
+
+        momentum = _momentum(inertia, velocity)
+        wrench = _momentum(inertia, acceleration) - _coadjoint(velocity, momentum)
+        bracket = _bracket(velocity, jacobian)
+        own_of_velocity = _coadjoint(jacobian, momentum) - _momentum(inertia, bracket)
+        own_of_acceleration = _momentum(inertia, jacobian)
+        first_pairs = np.flatnonzero(joint_of_pair == 0)
+        sums = np.stack((own_of_velocity, own_of_acceleration))
+        # Per link the derivatives (2, 6, N) by its velocity and its acceleration.
+        by_motion = np.add.reduceat(sums, first_pairs, axis=2).transpose(2, 0, 1, 3)
+
+        gradient = np.empty((3, joints, samples))
+        # Derivatives (2 + joints, 6, N) by V and A, then by J, that come from the next link.
+        passed = np.zeros((2 + joints, 6, samples))
+        for link in reversed(range(joints)):
+            screw = self.screws[link]
+            turn = self.brackets[link]
+            inner = slice(first_pairs[link], first_pairs[link] + link)
+            passed = passed[: 2 + link]
+            passed[:2] += by_motion[link]
+            passed[2:] += wrench[:, inner].swapaxes(0, 1)
+            of_velocity, of_acceleration = passed[:2]
+            speed = qd[:, link]
+            turned_velocity = turn @ self.velocity[link]
+            of_velocity -= speed * (turn.T @ of_acceleration)
+            gradient[2, link] = screw @ of_acceleration
+            gradient[1, link] = screw @ of_velocity
+            gradient[1, link] -= np.sum(of_acceleration * turned_velocity, axis=0)
+            # d / d q of what comes from the link before: its twists, turned.
+            turned_acceleration = turn @ (
+                self.acceleration[link] + speed * turned_velocity
+            )
+            turned = np.stack((turned_velocity, turned_acceleration))
+            gradient[0, link] = -np.sum(passed[:2] * turned, axis=(0, 1))
+            turned_jacobian = turn @ jacobian[:, inner].swapaxes(0, 1)
+            gradient[0, link] -= np.sum(passed[2:] * turned_jacobian, axis=(0, 1))
+            passed = np.einsum("abn,jan->jbn", self.steps[link], passed)
+        return gradient.swapaxes(1, 2)
+
+
+def _momentum(inertia: Array, twist: Array) -> Array:
+    """Return G V (6, ...) of spatial inertias with the parameters ``inertia`` (10, ...), and twists
+    (6, ...): [I w + h x v, m v - h x w].
+    """
+    mass, hx, hy, hz, xx, xy, xz, yy, yz, zz = inertia
+    wx, wy, wz, vx, vy, vz = twist
+    return np.stack(
+        (
+            xx * wx + xy * wy + xz * wz + hy * vz - hz * vy,
+            xy * wx + yy * wy + yz * wz + hz * vx - hx * vz,
+            xz * wx + yz * wy + zz * wz + hx * vy - hy * vx,
+            mass * vx - hy * wz + hz * wy,
+            mass * vy - hz * wx + hx * wz,
+            mass * vz - hx * wy + hy * wx,
+        )
+    )
+
+
+def _bracket(first: Array, second: Array) -> Array:
+    """Return ad(V) W (6, ...) of twists V = [w, v] and W (6, ...)."""
+    w, v = first[:3], first[3:]
+    turn, shift = second[:3], second[3:]
+    return np.concatenate((cross(w, turn), cross(v, turn) + cross(w, shift)))
+
+
+def _coadjoint(twist: Array, momentum: Array) -> Array:
+    """Return ad(V)^T [m, f] (6, ...) = -[w x m + v x f, w x f] of V = [w, v]."""
+    w, v = twist[:3], twist[3:]
+    m, f = momentum[:3], momentum[3:]
+    return -np.concatenate((cross(w, m) + cross(v, f), cross(w, f)))
+
 
 class LinkDynamics:
     """The motion of all links of one arm, by the outward recursion of Newton and Euler.

@@ -23,6 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from robot_sysid.dynamics.friction import TERMS, top_speeds
+from robot_sysid.dynamics.inverse_dynamics import LinksMotion
 from robot_sysid.motion.file_errors import FileErrors
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
@@ -31,6 +32,10 @@ from robot_sysid.records.parameters import SCALE
 SMOOTHING = 0.03
 """Share of the speed limits below which Coulomb friction's jump is rounded off: it changes no
 predicted standard deviation by more than 3 % (``test_the_grid_is_fine_enough_for_the_band``)."""
+
+STEP = 1e-6
+"""Step of one-sided differences [rad, and its derivatives; N m]: torques are exact to 1e-13, so
+their derivatives to 1e-7."""
 
 
 @dataclass(frozen=True)
@@ -218,18 +223,43 @@ class Criterion:
 
     def with_gradient(self, motion: Array) -> tuple[float, Array]:
         """Return the value of a motion (3, N, n) and its gradient by q, qd and qdd."""
-        columns = self._columns(*motion)
+        q, qd, qdd = motion
+        links = self._problem.dynamics.motion(q, qd, qdd)
+        columns = self._columns_of(links, qd, qdd)
         information = self._information(columns)
         value, weight = self._objective.value_and_weight(information)
         by_column = -self._changes @ weight @ self._changes.transpose(0, 2, 1) @ columns
+        n_links = len(self._theta)
+        by_links = by_column[:, :n_links]
+        own_slopes = self._own_slopes(columns, by_column, qd, qdd)
+        # A load is the torque of the links as they are in the model.
+        by_links = by_links + self._theta[:, None] * own_slopes[2][:, None]
+        weights = np.zeros((self._problem.n_joints, *by_links.shape[1:]))
+        weights[self._joints] = by_links
+        gradient = links.weighted_gradient(self._problem.links, weights, qd)
+        gradient[1:, :, self._joints] += own_slopes[:2].swapaxes(1, 2)
+        return value, gradient
 
-        def total(q: Array, qd: Array, qdd: Array) -> Array:
-            """Return the sums (m, N) of all columns times their derivatives of the value."""
-            moved = self._columns(q, qd, qdd)
-            moved = moved.reshape(*moved.shape[:2], -1, columns.shape[2])
-            return np.einsum("jkmn,jkn->mn", moved, by_column)
+    def _own_slopes(
+        self, columns: Array, by_column: Array, qd: Array, qdd: Array
+    ) -> Array:
+        """Return the derivative (3, rows, N) of the value by each joint's speed, acceleration and
+        load, as far as its own unknowns have columns of these.
 
-        return value, gradient_of(total, motion)
+        One-sided differences, away from zero: dry friction jumps where a joint reverses.
+        """
+        n_links = len(self._theta)
+        own = columns[:, n_links:]
+        load = self._theta @ columns[:, :n_links]
+        states = np.stack((qd.T[self._joints], qdd.T[self._joints], load))
+        slopes = np.empty_like(states)
+        for index, state in enumerate(states):
+            step = np.where(state < 0.0, -STEP, STEP)
+            moved = states.copy()
+            moved[index] += step
+            change = (self._own_columns(*moved) - own) / step[:, None]
+            slopes[index] = np.sum(change * by_column[:, n_links:], axis=1)
+        return slopes
 
     def _file_errors(self, file: FileKnowledge, sigma: Array) -> FileErrors:
         """Return the errors of a file on the motions elsewhere, as a function of the information.
@@ -253,12 +283,22 @@ class Criterion:
         """Return the columns (rows, 10 L + terms, N) of each joint's equations: those of the links'
         parameters, then those of the joint's own unknowns.
         """
-        problem = self._problem
-        columns = problem.dynamics.motion(q, qd, qdd).columns(problem.links)
-        links = columns.transpose(1, 2, 0)[self._joints]
-        load = self._theta @ links
-        qd = qd.T[self._joints]
-        qdd = qdd.T[self._joints]
+        return self._columns_of(self._problem.dynamics.motion(q, qd, qdd), qd, qdd)
+
+    def _columns_of(self, links: LinksMotion, qd: Array, qdd: Array) -> Array:
+        """Return ``_columns`` where the motion of the links is known already."""
+        of_links = links.columns(self._problem.links).transpose(1, 2, 0)[self._joints]
+        load = self._theta @ of_links
+        own = self._own_columns(qd.T[self._joints], qdd.T[self._joints], load)
+        return np.concatenate((of_links, own), axis=1)
+
+    def _own_columns(self, qd: Array, qdd: Array, load: Array) -> Array:
+        """Return the columns (rows, terms, N) of each joint's own unknowns.
+
+        Args:
+            qd, qdd: (rows, N) speeds and accelerations.
+            load: (rows, N) torque of the links [N m].
+        """
         sign = np.tanh(qd / self._smooth_speed[:, None])
         terms = [
             load
@@ -266,7 +306,7 @@ class Criterion:
             else TERMS[name].of_state(sign, qd, qdd, load, self._tops)
             for name in self._terms
         ]
-        return np.concatenate((links, np.stack(terms, axis=1)), axis=1)
+        return np.stack(terms, axis=1)
 
     def _information(self, columns: Array) -> Array:
         """Return H (P, P) of columns as those of ``_columns``."""
@@ -302,10 +342,9 @@ def gradient_of(total: Callable[[Array, Array, Array], Array], motion: Array) ->
             after the other; depends on each sample alone.
         motion: (3, N, n) q, qd and qdd.
     """
-    # Dry friction jumps where a joint reverses; a step across the jump would be noise. Torques are
-    # exact to 1e-13, so their derivatives to 1e-7.
+    # Dry friction jumps where a joint reverses; a step across the jump would be noise.
     states = np.concatenate(motion, axis=1)
-    step = np.where(states < 0.0, -1e-6, 1e-6)
+    step = np.where(states < 0.0, -STEP, STEP)
     size = states.shape[1]
     # A step of each number in turn, at last none: (number that is moved, sample, number).
     moved = np.repeat(states[None], size + 1, axis=0)

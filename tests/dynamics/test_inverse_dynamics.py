@@ -203,6 +203,27 @@ def test_slopes_by_positions_equal_differences(xml, seed):
     assert_allclose(slopes, (above - below) / (2.0 * step), rtol=1e-6, atol=rounding)
 
 
+@given(random_chain(), SEEDS)
+def test_the_gradient_of_weighted_columns_equals_differences(xml, seed):
+    """Of the columns of some links, by positions, speeds and accelerations."""
+    robot = robot_of(xml)
+    rng = default_rng(seed)
+    motion, direction = rng.normal(size=(2, 3, SAMPLES, robot.n_joints))
+    links = [*range(0, robot.n_joints, 2)]
+    dynamics = LinkDynamics(robot)
+    weights = rng.normal(size=(robot.n_joints, 10 * len(links), SAMPLES))
+
+    def weighted_sum(at):
+        columns = dynamics.motion(*at).columns(links)
+        return np.vdot(columns.transpose(1, 2, 0), weights)
+
+    gradient = dynamics.motion(*motion).weighted_gradient(links, weights, motion[1])
+    ahead, behind = (weighted_sum(motion + s * direction) for s in (1e-5, -1e-5))
+    scale = np.sum(np.abs(gradient * direction))
+    difference = (ahead - behind) / 2e-5
+    assert abs(np.vdot(gradient, direction) - difference) < 1e-7 * scale + 1e-6
+
+
 @given(angle=st.floats(-3.0, 3.0))
 def test_the_weight_of_a_pendulum_grows_by_its_sine_as_it_sinks(angle):
     """m g l cos(q) of a link at q above the level; none where it hangs below it."""
