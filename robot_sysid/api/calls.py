@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Union
 
@@ -14,7 +14,13 @@ import numpy as np
 
 from robot_sysid.api.keywords import with_keywords, with_options_of
 from robot_sysid.api.results import PlanResult, Result, one_thread
-from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
+from robot_sysid.config import (
+    Config,
+    IdentifyConfig,
+    PayloadConfig,
+    PlanConfig,
+    SelfTestConfig,
+)
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics, link_names
 from robot_sysid.errors import InputError
@@ -136,6 +142,40 @@ def _log_sources(logs: Log | Sequence[Log]) -> tuple[Any, ...]:
     return tuple(map(_log_source, several))
 
 
+def _without_samples(logs: Sequence[Any]) -> tuple[Any, ...]:
+    """Return logs without their samples: a result needs their names and how they were read."""
+    kept: list[Any] = []
+    for log in logs:
+        if isinstance(log, LogTable):
+            kept.append(log.without_rows())
+        elif isinstance(log, Recording):
+            kept.append(log[:0])
+        else:
+            kept.append(log)
+    return tuple(kept)
+
+
+def _config_of_result(config: Config) -> Config:
+    """Return the options of a result, whose logs in memory are left out."""
+    if isinstance(config, IdentifyConfig):
+        log = replace(
+            config.log,
+            measurements=_without_samples(config.log.measurements),
+            validation_measurements=_without_samples(
+                config.log.validation_measurements
+            ),
+        )
+        return replace(config, log=log)
+    if isinstance(config, PayloadConfig):
+        payload = replace(
+            config.payload,
+            empty=_without_samples(config.payload.empty),
+            loaded=_without_samples(config.payload.loaded),
+        )
+        return replace(config, payload=payload)
+    return config
+
+
 class _Notes(Progress):
     """Collects the notes that a command would print."""
 
@@ -163,7 +203,7 @@ def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Res
     texts = [remark.text for remark in result.remarks]
     notes_on_logs = says(note for note in notes.notes if note not in texts)
     fields = {**vars(result), "remarks": (*result.remarks, *notes_on_logs)}
-    return Result(**fields, config=config)
+    return Result(**fields, config=_config_of_result(config))
 
 
 @with_keywords(options_of_all(LogOptions))

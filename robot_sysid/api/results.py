@@ -7,23 +7,26 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from robot_sysid.config import PlanConfig
+from robot_sysid.config import Config, PlanConfig
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Written, writable_folder
 from robot_sysid.model.compilation import lasting_folder
 from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.planning import draft_motor_file, draft_plan
-from robot_sysid.pipeline.stages import write_results
+from robot_sysid.pipeline.stages import load_arm, write_results
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.installation import missing_library
 from robot_sysid.records.messages import Progress, torque_unit, with_error
+from robot_sysid.report.drawing import COLOURS
+from robot_sysid.report.figures import MEASURED_WIDTH
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines, verdict_line
 from robot_sysid.results.record import Identification
@@ -47,6 +50,21 @@ def one_thread() -> AbstractContextManager[Any]:
     return threadpool_limits(1, user_api="blas")
 
 
+def _arm_again(config: Config, sha256: str) -> RobotModel:
+    """Return the arm of a result, read again from its model file.
+
+    Raises:
+        InputError: the file cannot be read any more, or ``sha256`` is not that of its content.
+    """
+    robot = load_arm(config, Progress())
+    if robot.sha256 != sha256:
+        raise InputError(
+            f"{robot.path} has changed since the result was made; put back the file that was "
+            "identified"
+        )
+    return robot
+
+
 @dataclass(frozen=True, repr=False)
 class Result(Identification):
     """An identified arm or payload, from ``identify``, ``self_test`` or ``payload``.
@@ -58,6 +76,11 @@ class Result(Identification):
     """
 
     config: Any = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what pickle keeps: all but the compiled model, which is read again when needed."""
+        load = partial(_arm_again, self.config, self.robot.sha256)
+        return {**vars(self), "robot": self.robot.without_model(load)}
 
     @property
     def theta(self) -> Array:
@@ -126,7 +149,10 @@ class Result(Identification):
             raise SysidError(written.failure or "this result is written into no model")
 
     def plot(self) -> Any:
-        """Return a matplotlib Figure: measured and predicted torque of each joint over time [N m].
+        """Return a matplotlib Figure of each joint's torque over time [N m].
+
+        It shows the measured torque, what the model predicts before, and what the result predicts:
+        of a payload, the torque without it and with it.
 
         Raises:
             InputError: matplotlib is not installed, or it is a simulation of the model itself.
@@ -144,15 +170,27 @@ class Result(Identification):
         height = AXIS_HEIGHT * count + FIGURE_MARGIN
         figure = Figure(figsize=(FIGURE_WIDTH, height), layout="constrained")
         axes = figure.subplots(count, sharex=True, squeeze=False)[:, 0]
-        # Blue and orange of Okabe and Ito, safe for colour-blind readers.
-        dots = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
-        line = {"lw": 1, "color": "#D55E00"}
+        words = ("before", "after") if self.payload is None else ("without", "with")
+        before, after = (f"predicted {word}" for word in words)
+        # As in the report.
+        series = (
+            (traces.measured, "measured", COLOURS["measured"], "-", MEASURED_WIDTH),
+            (traces.prior_prediction, before, COLOURS["before"], "--", 1.0),
+            (traces.predicted, after, COLOURS["after"], "-", 1.0),
+        )
         for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
-            axis.plot(traces.time, traces.measured[:, k], label="measured", **dots)
-            axis.plot(traces.time, traces.predicted[:, k], label="predicted", **line)
+            for torque, label, colour, dashes, width in series:
+                axis.plot(
+                    traces.time,
+                    torque[:, k],
+                    dashes,
+                    color=colour,
+                    lw=width,
+                    label=label,
+                )
             axis.set_ylabel(f"{joint}\n[{torque_unit(traces.is_slide[k])}]")
         axes[-1].set_xlabel("time [s]")
-        axes[0].legend(loc="upper right", ncols=2)
+        axes[0].legend(loc="upper right", ncols=3)
         return figure
 
     def __str__(self) -> str:

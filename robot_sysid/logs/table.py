@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -110,6 +110,11 @@ def array_blocks(arrays: Chunk, columns: Sequence[int]) -> Iterator[Block]:
     return chunk_blocks(lambda: chunks, len(arrays[0]), columns)
 
 
+def no_blocks(_: Sequence[int]) -> Iterator[Block]:
+    """Yield no rows."""
+    yield from ()
+
+
 @dataclass(frozen=True)
 class LogTable:
     """A log as a table, whatever the form of its file.
@@ -146,6 +151,10 @@ class LogTable:
         return str(self.path)
 
     __str__ = __fspath__
+
+    def without_rows(self) -> LogTable:
+        """Return the table with its titles alone, for a record of where numbers came from."""
+        return replace(self, blocks=no_blocks)
 
     def cite(self, lines: Lines) -> str:
         """Return lines (K,) for a sentence: "line 7 and 3 more"."""

@@ -202,7 +202,8 @@ def write_results(
         # Of this run, whatever another one writes to the folder in the meantime.
         fingerprint = runs.fingerprint(folder)
         try:
-            runs.save_data(folder, result.traces(), fingerprint)
+            traces = result.traces(every_sample=False)
+            runs.save_data(folder, traces, fingerprint)
         except Exception as error:  # The results must stand.
             progress.note(f"nothing was left for a later report: {error}")
     return written

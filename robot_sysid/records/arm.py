@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -269,6 +270,27 @@ class RobotModel:
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
         return f"<RobotModel {self.path.name}: {joints} carry {self.body_name}>"
+
+    def without_model(self, load: Callable[[], RobotModel]) -> RobotModel:
+        """Return the arm without its compiled model, whose meshes may be larger than all else.
+
+        ``load`` returns the arm with it, and is called where the model is asked for first. It can
+        be pickled.
+        """
+        arm = copy(self)
+        fields = vars(arm)
+        del fields["mj_model"]
+        fields["_load"] = load
+        return arm
+
+    def __getattr__(self, name: str) -> Any:
+        """Return the compiled model of an arm ``without_model``; called for what is missing."""
+        load = vars(self).get("_load")
+        if name != "mj_model" or load is None:
+            raise AttributeError(f"RobotModel has no attribute {name!r}")
+        model = load().mj_model
+        object.__setattr__(self, name, model)
+        return model
 
     @property
     def body_name(self) -> str:

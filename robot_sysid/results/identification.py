@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 
 import numpy as np
 
@@ -47,7 +46,7 @@ from robot_sysid.results.notes import (
 )
 from robot_sysid.results.record import Identification, ModelFile, Payload
 from robot_sysid.results.rules import OF_ARM, ArmEvidence
-from robot_sysid.results.traces import traces_of
+from robot_sysid.results.traces import FitTraces
 from robot_sysid.results.verdicts import judge
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.process import FilteredRecording
@@ -116,7 +115,7 @@ def link_result(
         file=written,
         validation=tests,
         checkpoints=first.samples(samples),
-        traces=partial(traces_of, file),
+        traces=FitTraces(file),
     )
 
 
@@ -134,7 +133,7 @@ def result_of(
     file: ModelFile | None,
     validation: tuple[Validation, ...],
     checkpoints: Motion,
-    traces: Callable[[], Traces],
+    traces: Callable[..., Traces],
     payload: Payload | None = None,
 ) -> Identification:
     """Return the result of recordings: its own rows, remarks and notes, then those of the file.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
@@ -34,7 +33,7 @@ from robot_sysid.results.notes import unknown_inertia
 from robot_sysid.results.reasons import file_faults, missed_terms
 from robot_sysid.results.record import Identification, Payload
 from robot_sysid.results.rules import AGAINST_PAYLOAD, OF_PAYLOAD, PayloadEvidence
-from robot_sysid.results.traces import traces_of
+from robot_sysid.results.traces import FitTraces
 from robot_sysid.results.verdicts import judge
 from robot_sysid.spatial import PARAMETER_NAMES
 
@@ -123,7 +122,7 @@ def payload_result(
         file=written,
         validation=(validation(fitted),),
         checkpoints=fitted.recordings[-1].motion,
-        traces=partial(traces_of, fitted),
+        traces=FitTraces(fitted),
     )
 
 

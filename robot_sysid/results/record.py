@@ -223,7 +223,8 @@ class Identification:
         link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
             standard deviation of the other links was widened.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
-        traces: computes the measured and predicted torques that a report draws.
+        traces: computes the measured and predicted torques over time, at every sample of the log,
+            or with ``every_sample=False`` at as many instants as figures need.
     """
 
     robot: records.RobotModel
@@ -245,7 +246,7 @@ class Identification:
     cutoff: float | None = None
     link_scales: Mapping[str, float] = field(default_factory=dict)
     checkpoints: Motion | None = None
-    traces: Callable[[], Traces] | None = None
+    traces: Callable[..., Traces] | None = None
 
     @property
     def question(self) -> str:

@@ -260,6 +260,18 @@ class FilteredRecording:
         """
         return replace(self, chosen=None, **changes)
 
+    def at_every_sample(self) -> FilteredRecording:
+        """Return the recording with a row at each sample that the low-pass reaches.
+
+        A row is used where the nearest row of this recording is.
+        """
+        stride = self.low_pass.step * self.every
+        count = len(self.time) - 2 * self.low_pass.half_width
+        nearest = (np.arange(count) + stride // 2) // stride
+        is_used = self.is_used[np.minimum(nearest, len(self) - 1)]
+        low_pass = replace(self.low_pass, step=1)
+        return self.using(is_used, low_pass=low_pass, every=1)
+
     def filter_columns(self, make: Callable[[Motion], Array]) -> Array:
         """Return columns (K, ...) that are made from the motion, low-passed and decimated.
 

@@ -15,10 +15,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 import robot_sysid as rs
 from rigs.arms import small_arms
 from rigs.files import pages, params
+from rigs.files.places import ROOT
 from rigs.files.refusals import refused
 from rigs.logs import recorded
+from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Recording
+from robot_sysid.records.data import SIGNAL_NAMES
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.verdicts import Verdict
 
@@ -127,6 +130,8 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result, model, lo
     for form in forms:
         from_form = rs.identify(model, form)
         assert_allclose(from_form.theta, result.theta, rtol=1e-9)
+        # Samples in memory are not kept with it.
+        assert len(pickle.dumps(from_form.config)) < 2e4
     columns = ("time", "q", "tau")
     shorter, shortest = ({n: arrays[n][k:] for n in columns} for k in (1, 2))
     halves = [{n: shortest[n] for n in ("time", half)} for half in ("q", "tau")]
@@ -232,7 +237,7 @@ def test_named_values_fit_together(result):
 def test_a_result_is_the_same_after_pickling(result, tmp_path):
     unpickled = pickle.loads(pickle.dumps(result))
     assert unpickled.to_dict() == result.to_dict() and str(unpickled) == str(result)
-    assert_array_equal(unpickled.traces().qd, result.traces().qd)
+    assert_allclose(unpickled.traces().predicted, result.traces().predicted, rtol=1e-6)
     assert (tmp_path / "out" / "updated_model.xml") in unpickled.save(tmp_path / "out")
     itself = rs.self_test(result.robot.path, seed=1, duration=2.0)
     assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
@@ -242,6 +247,50 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
     )
     unpickled = pickle.loads(pickle.dumps(simulated))
     assert len(unpickled.traces().time) == len(simulated.traces().time)
+
+
+def test_a_pickle_holds_the_series_of_the_log_and_little_else(result, log):
+    """No sums of the fit, no meshes of the model, and no samples of logs in memory."""
+    path = ROOT / "examples/kinova/model/kinova_fullinertia_guess.xml"
+    meshes = rs.load_robot_model(path)
+    config = IdentifyConfig.of(path, measurements=(log,))
+    large = replace(result, robot=meshes, config=config)
+    assert len(pickle.dumps(meshes)) > 2e6
+    series = result.traces()
+    size = 4 * series.measured.size * len(SIGNAL_NAMES) + series.time.nbytes
+    for kept in (result, large):
+        assert len(pickle.dumps(kept)) < size + 2e5
+    unpickled = pickle.loads(pickle.dumps(large)).robot
+    assert unpickled.joint_names == meshes.joint_names
+    assert unpickled.mj_model.nmeshvert == meshes.mj_model.nmeshvert > 0
+    with pytest.raises(AttributeError, match="no attribute 'mass_of'"):
+        _ = unpickled.mass_of
+
+
+def test_a_model_that_changed_is_not_that_of_a_pickled_result(result, tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_bytes(result.robot.path.read_bytes())
+    moved = replace(result.config.model, path=path)
+    robot = rs.load_robot_model(path)
+    kept = replace(result, config=replace(result.config, model=moved), robot=robot)
+    unpickled = pickle.loads(pickle.dumps(kept))
+    path.write_bytes(path.read_bytes().replace(b'mass="3.5"', b'mass="3.6"'))
+    assert unpickled.mass == result.mass
+    with refused("arm.xml has changed since the result was made; put back the file"):
+        unpickled.save(tmp_path / "out")
+
+
+def test_traces_have_the_rate_of_the_log(result, log):
+    series = result.traces()
+    assert np.all(np.isin(series.time, log.time))
+    assert_allclose(np.diff(series.time), log.time[1] - log.time[0])
+    assert len(series.time) > 0.8 * len(log.time)
+    rows = result.traces(every_sample=False)
+    at_rows = np.isin(series.time, rows.time)
+    assert np.count_nonzero(at_rows) == len(rows.time) < 0.3 * len(series.time)
+    for name in SIGNAL_NAMES:
+        of_rows = getattr(rows, name)
+        assert_allclose(getattr(series, name)[at_rows], of_rows, rtol=1e-9, atol=1e-9)
 
 
 def test_results_and_logs_say_what_they_are(result, log):
@@ -295,6 +344,12 @@ def test_a_plot_shows_every_joint(result, monkeypatch):
     assert [axis.get_ylabel() for axis in axes] == [
         f"joint{k}\n[N·m]" for k in range(4)
     ]
+    traces = result.traces()
+    names = ("measured", "predicted before", "predicted after")
+    series = (traces.measured, traces.prior_prediction, traces.predicted)
+    for line, name, torque in zip(axes[2].lines, names, series):
+        assert line.get_label() == name
+        assert_array_equal(line.get_ydata(), torque[:, 2])
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(
         InputError, match="needs matplotlib; install with:\n  pip install "
@@ -307,7 +362,9 @@ def test_a_payload_is_the_difference(workshop, tmp_path, model):
     logs = (workshop / "log.csv", workshop / "loaded.csv")
     identified = rs.payload(model, *logs)
     arrays = rs.read_log(logs[1], model)
-    assert rs.payload(model, [logs[0]], [arrays]).mass == identified.mass
+    of_arrays = rs.payload(model, [logs[0]], [arrays])
+    assert of_arrays.mass == identified.mass
+    assert [len(log) for log in of_arrays.config.payload.loaded] == [0]
     assert abs(identified.mass - 2.0) < 3.0 * identified.standard_errors["m"]
     assert (
         identified.failure is None

@@ -50,9 +50,9 @@ def test_data_of_a_run_never_pass_for_those_of_another(command, arm):
     silent = Progress()
     result, plan = identify(config, load_arm(config, silent), silent)
 
-    def slowly():
+    def slowly(every_sample):
         (OUT / "params.json").write_text((OUT / "params.json").read_text() + "\n")
-        return result.traces()
+        return result.traces(every_sample)
 
     write_results(config, replace(result, traces=slowly), silent, plan)
     assert (OUT / "report_data.npz").is_file() and not (OUT / "report.html").exists()

@@ -140,7 +140,7 @@ def test_every_option_gives_a_possible_result(robot, noisy, options):
 
 def test_traces_hold_the_residual_of_the_file(robot, fits):
     _, file = fits
-    traces = traces_of(file)
+    traces = traces_of(file, every_sample=False)
     assert traces.joints == robot.joint_names
     squares = file.sums.squared_residuals(file.full)
     assert_allclose(np.nansum(traces.residual**2, axis=0), squares, rtol=1e-6)
