@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from rigs.files import pages, schemas
+from rigs.files.places import ROOT
 from robot_sysid.cli import main
 
 pytestmark = pytest.mark.slow
@@ -26,7 +27,9 @@ def workshop(tmp_path_factory):
     return folder
 
 
-WITH_BLOCKS = [page for page in pages.PAGES if pages.blocks(page)]
+PYTHON = ROOT / "docs/python.md"
+"""Needs no file that it does not write."""
+WITH_BLOCKS = [page for page in pages.PAGES if page != PYTHON and pages.blocks(page)]
 
 
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.name)
@@ -38,15 +41,34 @@ def test_what_a_page_says_to_type_works(page, workshop, tmp_path, monkeypatch, c
         pytest.importorskip("rosbags")
         pages.add_recordings(folder)
     said = ""
+    names = {}  # of one session: a block may use what an earlier one has defined
     for language, block in pages.blocks(page):
         if language == "python":
-            exec(compile(block, str(page), "exec"), {})  # the page is ours
+            exec(compile(block, str(page), "exec"), names)  # the page is ours
             continue
         for words, code in pages.commands(block):
             if words[0] not in pages.OTHERS and "[options]" not in words:
                 assert words[0] == "robot-sysid", words
                 said += runs(words[1:], code, capsys)
     assert [line for line in pages.printed(page) if not pages.is_said(line, said)] == []
+
+
+def test_the_page_of_python_runs_where_nothing_is_but_the_package(
+    tmp_path, monkeypatch, capsys
+):
+    """As a reader pastes it: in an empty folder, from top to bottom, in one session."""
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for language, block in pages.blocks(PYTHON):
+        if language == "python":
+            exec(compile(block, str(PYTHON), "exec"), names)  # the page is ours
+            continue
+        for words, code in pages.commands(block):
+            if words[0] == "robot-sysid":
+                runs(words[1:], code, capsys)
+    files = {path.name for path in tmp_path.iterdir()}
+    assert {"kinova", "found", "plan.json", "measured.csv"} <= files
+    assert names["result"].failure is None
 
 
 def runs(words, expected_code, capsys):
