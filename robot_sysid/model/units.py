@@ -93,7 +93,9 @@ def refuse_cad_units(robot: RobotModel) -> None:
     if fault:
         unit = mass_unit(robot)
         is_remedy = unit != 1.0 and not _unit_fault(with_mass_scale(robot, unit))
-        remedy = [("--mass-scale", f"{unit:g}")] if is_remedy else []
+        # An option replaces the one that was given before.
+        factor = unit * robot.mass_scale
+        remedy = [("--mass-scale", f"{factor:g}")] if is_remedy else []
         raise ModelError(f"{robot.path}: {fault}", remedy)
     for link in robot.links[:-1]:
         distance = float(np.linalg.norm(spatial.com_from_theta(link.theta)[1]))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -84,8 +84,8 @@ def write_model(
     file = result.file
     payload = result.payload
     thetas = result.thetas.copy()
-    robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
-    robot, target = _arm_of_kind(robot, file_kind, target)
+    scaled, target = _arm_of_kind(result.robot, file_kind, target)
+    robot = with_mass_scale(scaled, 1.0 / scaled.mass_scale)
     elements = []
     for index, name in enumerate(robot.joint_names):
         stated = [float(term.stated_value(robot)[index]) for term in POLYNOMIAL]
@@ -113,18 +113,10 @@ def write_model(
         else:
             thetas[-1] += theta
             comment = f"with {text} in it"
-    scaled = with_mass_scale(robot, result.robot.mass_scale)
     bodies, written_thetas, notes = _body_changes(scaled, thetas, comment)
     written_thetas[-1] += theta_beside
-    if scaled is not robot:
-        # What is not identified, such as fingers, is of the user's factor, too.
-        model = scaled.mj_model
-        changed = {body.body_id for body in bodies}
-        for body in np.flatnonzero(model.body_mass).tolist():
-            if body not in changed:
-                bodies += (
-                    BodyChange(body_label(model, body), body, body_theta(model, body)),
-                )
+    # What is not identified, such as fingers, is of the user's factor, too.
+    bodies += tuple(_scaled_bodies(scaled, {body.body_id for body in bodies}))
     if robot.kind == "mjcf":
         elements += _tendon_changes(robot, result, source)
     bodies += new_bodies
@@ -134,6 +126,16 @@ def write_model(
     if gravity is not None and file_kind == "urdf":
         notes += (_base_note(gravity),)
     return notes
+
+
+def _scaled_bodies(robot: RobotModel, changed: Collection[int]) -> Iterator[BodyChange]:
+    """Yield the bodies, but for the changed ones, of a model whose masses a factor has changed."""
+    if robot.mass_scale == 1.0:
+        return
+    model = robot.mj_model
+    for body in np.flatnonzero(model.body_mass).tolist():
+        if body not in changed:
+            yield BodyChange(body_label(model, body), body, body_theta(model, body))
 
 
 def _base_note(gravity: Array) -> str:
@@ -156,15 +158,17 @@ def _arm_of_kind(
 ) -> tuple[RobotModel, ModelTarget]:
     """Return (the arm as one of an MJCF where ``file_kind`` asks for it, the target of that file).
 
-    MuJoCo writes the MJCF, with six digits of all numbers but those of inertials. ExportError where
-    it refuses.
+    MuJoCo writes the MJCF, with six digits of all numbers but those of inertials. It has the masses
+    of the file, which are the arm's after the same factor. ExportError where it refuses.
     """
     if file_kind == robot.kind:
         return robot, target
     try:
         path = mjcf_of(robot.path, target.mesh_dir)
         joint = robot.terminal_joint
-        arm = load_robot_model(path, joint=joint, gravity=robot.gravity)
+        arm = load_robot_model(
+            path, joint=joint, mass_scale=robot.mass_scale, gravity=robot.gravity
+        )
         return arm, replace(target, mesh_dir=None)
     except InputError as error:
         raise ExportError(
@@ -178,7 +182,7 @@ def write_joints(
     """Write an MJCF with new numbers for the joints and servos of a model, found without torques.
 
     Args:
-        robot: the arm as in the original model, whose links stay as they are.
+        robot: the arm, whose links stay as they are, but for the user's factor on all masses.
         elements: rotor inertia and friction of joints, and gains of position actuators.
         target: where to write.
 
@@ -186,9 +190,12 @@ def write_joints(
         ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
             takes other torques; the draft is withdrawn.
     """
-    robot, target = _arm_of_kind(robot, "mjcf", target)
+    scaled, target = _arm_of_kind(robot, "mjcf", target)
+    bodies = tuple(_scaled_bodies(scaled, ()))
     # No torque was measured, so there is no residual to state.
-    _write(robot, ModelChange((), 0.0, elements, robot.gravity), target, robot.thetas)
+    change = ModelChange(bodies, 0.0, elements, scaled.gravity)
+    of_file = with_mass_scale(scaled, 1.0 / scaled.mass_scale)
+    _write(of_file, change, target, scaled.thetas)
 
 
 def _numbers_of(

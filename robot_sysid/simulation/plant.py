@@ -44,7 +44,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
-from robot_sysid.errors import InputError, SimulationError, prefix_input_errors
+from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, Recording, RobotModel
 from robot_sysid.records.option_fields import joint_values
@@ -112,8 +112,11 @@ def load_plant(
     Raises:
         InputError: the file cannot be used, or its joints are others than the robot's; says why.
     """
-    with prefix_input_errors(f"the plant {plant_path.name}"):
+    try:
         plant = load_robot_model(plant_path, mesh_dir, robot.terminal_joint)
+    except InputError as error:
+        # Options are about the model: none of them remedies the plant.
+        raise InputError(f"the plant {plant_path.name}: {error}") from None
     joints, plant_joints = map(_joints_text, (robot, plant))
     if joints != plant_joints:
         raise InputError(

@@ -41,6 +41,15 @@ def test_masses_and_inertias_in_other_units_are_refused(tmp_path, mass, inertia)
         load_robot_model(arm(tmp_path, mass, inertia))
 
 
+def test_the_factor_that_is_advised_replaces_one_that_was_given(tmp_path):
+    path = arm(tmp_path)
+    with refused("which no arm has; state masses in kg", ModelError) as caught:
+        load_robot_model(path, mass_scale=1e3)
+    (remedy,) = caught.value.options
+    assert remedy == ("--mass-scale", "1")
+    assert load_robot_model(path, mass_scale=float(remedy[1])).n_joints == 4
+
+
 def test_lengths_in_millimetres_are_refused(tmp_path):
     path = arm(tmp_path, length=1000.0)
     with refused("joints add up to 600 m, .*: these lengths fit", ModelError):

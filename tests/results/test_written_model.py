@@ -502,6 +502,19 @@ def test_a_factor_on_all_masses_is_in_all_bodies_of_the_file(tmp_path, factor):
     assert_allclose(written.body_mass, expected, rtol=1e-9)
 
 
+def test_a_urdf_in_tonnes_becomes_an_mjcf_in_kilograms(tmp_path):
+    """The file that MuJoCo makes of it is in tonnes, too, and no arm."""
+    light = urdf.inertial(1e-3, inertia="1e-5 2e-5 2.5e-5")
+    text = urdf.robot(urdf.serial(dict.fromkeys(("l1", "l2", "l3"), light)))
+    path = write_files(tmp_path, {"arm.urdf": text})
+    robot = load_robot_model(path, mass_scale=1e3)
+    thetas = robot.thetas
+    thetas[-1] *= 1.1
+    result = result_of(robot, thetas=thetas)
+    written = write_and_compile(robot, result, file_kind="mjcf").mj_model
+    assert_allclose(written.body_mass[-3:], [1.0, 1.0, 1.1], rtol=1e-9)
+
+
 def test_fingers_that_leave_no_possible_gripper_are_refused(tmp_path):
     text = small_arms.serial_arm(("0 0 1", "0 1 0"), tip=small_arms.fingers())
     # The model says more of its fingers than there is of the whole gripper.

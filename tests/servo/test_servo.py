@@ -72,6 +72,14 @@ def test_what_was_judged_of_a_urdf_is_written_as_an_mjcf(robots, tmp_path):
     assert run(robots["xml"], tmp_path / "xml")[1] == []
 
 
+@pytest.mark.parametrize("name", ["xml", "urdf"])
+def test_a_factor_on_all_masses_is_in_the_written_model(robots, tmp_path, name):
+    robot = load_robot_model(robots[name].path, mass_scale=1.5)
+    run(robot, tmp_path)
+    written = load_robot_model(tmp_path / "updated_model.xml")
+    assert written.thetas == pytest.approx(1.5 * robots[name].thetas, rel=1e-9)
+
+
 def test_a_card_has_the_rotors_of_the_written_model(robots, tmp_path):
     outcome, _ = run(robots["xml"], tmp_path, cards="mjlab")
     assert outcome.verdict[-1] == f"For mjlab: {tmp_path / 'mjlab_card.py'}"

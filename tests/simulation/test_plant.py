@@ -1,6 +1,7 @@
 """Laws of simulated arms: of an arm that motors drive, and of a plant's sensors."""
 
 import copy
+import re
 
 import mujoco
 import numpy as np
@@ -108,6 +109,17 @@ def test_a_plant_with_other_joints_is_refused_with_a_list(
         xml = xml.replace(old, new)
     with pytest.raises(InputError, match=message):
         load_plant(robot, arm_file(xml, "plant.xml"))
+
+
+def test_options_of_the_model_are_no_remedy_for_a_plant(robot, arm_file):
+    """A plant in tonnes is advised nothing that would make the model a thousand times heavier."""
+    light = re.sub('mass="([.0-9]+)"', 'mass="1e-6"', THREE)
+    light = re.sub('fullinertia="[^"]+"', 'diaginertia="1e-8 1e-8 1e-8"', light)
+    with pytest.raises(
+        InputError, match="the plant plant.xml: .*masses in kg"
+    ) as caught:
+        load_plant(robot, arm_file(light, "plant.xml"))
+    assert caught.value.options == ()
 
 
 HINGE = (
