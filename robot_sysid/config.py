@@ -332,7 +332,9 @@ class IdentifyConfig(LogConfig):
             useless.append("torque_scale")
         if self.log.torque_constants is not None:
             useless.append("torque_constants")
-        if self.output.report or self.output.links:
+        if self.output.links:
+            useless.append("links")
+        if self.output.report:
             useless.append("report")
         for key in useless:
             raise InputError(

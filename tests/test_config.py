@@ -66,6 +66,8 @@ REFUSED = {
     "identify a.xml b.csv --torque-from position-error --torque-scale 2": (
         "--torque-scale is about measured torques"
     ),
+    "identify a.xml b.csv --torque-from position-error --links": "--links is about measured",
+    "identify a.xml b.csv --torque-from position-error --report": "--report is about measured",
     "identify a.xml b.csv --torque-from position-error --keep links": (
         "--keep is about measured torques"
     ),
