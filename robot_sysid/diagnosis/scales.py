@@ -43,6 +43,7 @@ from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.offers import Effect
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
+from robot_sysid.model.stated import MASS
 from robot_sysid.model.units import mass_unit
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
@@ -450,6 +451,8 @@ def common_finding(
         # The known mass says how far off each joint's is.
         options = (torque_scale(factor * evidence.divided),)
         command = "payload"
+    elif not states_masses(robot):
+        return bodies_without_masses(text)
     else:
         name = FaultName.TORQUE_SCALE
         masses = f"{factor * robot.mass_scale:.4g}{stated_error(relative_error)}"
@@ -467,6 +470,27 @@ def common_finding(
     is_common = name is FaultName.TORQUE_SCALE
     return Finding(
         Level.REFUSES, name, text, remedy, options, command, is_common_factor=is_common
+    )
+
+
+def states_masses(robot: RobotModel) -> bool:
+    """Return whether the model states the mass of any link."""
+    return any(MASS not in link.placeholders for link in robot.links)
+
+
+def bodies_without_masses(text: str) -> Finding:
+    """Return the finding on a factor between torques and masses that a model does not state.
+
+    Only the torques are known then, and the links, each with an error as large as itself, follow
+    them. A factor on either would make one of them wrong.
+    """
+    return Finding(
+        Level.SAYS,
+        FaultName.TORQUE_SCALE,
+        f"{text}, which it does not state: links are as heavy as the torques say, which are taken "
+        "to be N·m",
+        "compare the result with a mass that is known, of the arm or of a weight on its flange",
+        is_common_factor=True,
     )
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from rigs.arms.small_arms import robot_of, serial_arm
 from robot_sysid.diagnosis.scales import TorqueScales
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import parse_factors
-from tests.diagnosis.conftest import found_in
+from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, found_in
 
 
 def scales_of(factor, weights):
@@ -79,3 +81,14 @@ def test_a_factor_is_noted_with_both_ways_and_refused_from_a_larger_one_on(
             tau=factor * four_joints.log.tau / parse_factors(each.options[1][1]).values,
         )
         assert found_in(four_joints, tau=right.tau) == ()
+
+
+def test_no_factor_on_masses_that_a_model_does_not_state(four_joints):
+    """One number in all links stands for none: nothing is to be divided, and no torque either."""
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    text = re.sub("<inertial [^>]*>", inertial, serial_arm(FOUR_AXES, joint=JOINT))
+    robot = robot_of(text)
+    log = replace(four_joints.log, tau=2.5 * four_joints.log.tau)
+    named = [each for each in findings_of(robot, log) if each.is_common_factor]
+    assert [each.level for each in named] == [Level.SAYS]
+    assert named[0].options == () and "which it does not state" in named[0].text
