@@ -75,6 +75,8 @@ def signals_of(log: Recording) -> dict[str, np.ndarray]:
         "tau": log.tau,
         "deg": np.degrees(log.q),
         "deg/s": np.degrees(log.qd),
+        "whole turn": np.degrees(log.q) % 360.0,
+        "2 pi": log.q % (2.0 * np.pi),
         "cdeg": 100.0 * np.degrees(log.q) + 1e-3,
         "ticks": 2048.0 + np.round(4096 / (2.0 * np.pi) * log.q),
         "heat": log.tau + 40.0,

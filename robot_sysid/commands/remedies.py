@@ -8,6 +8,7 @@ from typing import Any
 
 from robot_sysid.commands import PROGRAM
 from robot_sysid.errors import ColumnsError, InputError, SysidError
+from robot_sysid.logs.declarations import units_with
 from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
 from robot_sysid.records.messages import shell_line
 from robot_sysid.records.option_fields import leaves
@@ -60,9 +61,9 @@ def _paths_of_logs(values: Mapping[str, Any]) -> list[Path]:
 def _with_units_of(
     values: Mapping[str, Any], option: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return an option; one that states units states those that were given before, too."""
+    """Return an option; one that states units states those of other kinds given before, too."""
     if option[0] == "--units" and values.get("units"):
-        return "--units", f"{values['units']},{option[1]}"
+        return "--units", units_with(option[1], values["units"])
     return option
 
 

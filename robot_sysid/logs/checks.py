@@ -26,12 +26,13 @@ from robot_sysid.logs.table import (
     read_cells,
     separate_recordings,
 )
+from robot_sysid.logs.titles import TIME_UNITS, UNITS, read_title
 from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
 from robot_sysid.records.data import shift_behind
 from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
-from robot_sysid.signals.stamps import even_time
+from robot_sysid.signals.stamps import even_time, is_sampled_motion
 from robot_sysid.wording import option_name, option_setting, with_option_names
 
 Rows = NDArray[np.integer[Any]]
@@ -58,6 +59,9 @@ file was wrong: 0.6 of two rows that were exchanged, 1.7 where only their stamps
 SHORTEST_STEP = 1e-5
 LONGEST_STEP = 0.5
 """Sampling periods of a plausible unit of time [s]; rates of 1 to 1000 Hz are usual."""
+LEAST_STEP = 2e-4
+"""Sampling period from which on a unit of time is proposed that makes it [s]: a thousandth of the
+longest one is no log's rate, so that one unit at most makes one."""
 FEW_SAMPLES = 50.0
 """Samples per second below which a note is due: 100 do for a slow arm, 30 hardly ever
 (docs/logs.md)."""
@@ -85,6 +89,9 @@ MOST_CUTS = 10
 """Places at which rows are missing up to which a log is cut there."""
 LEAST_TRAVEL = 0.01
 """Travel below which a joint does not move [rad or m]."""
+LEAST_MOTION = 0.1
+"""Travel of the joint that moves most, in degrees that were taken for radians, from which on they
+may be degrees [rad]: logs of arms have ten times as much."""
 # What positions of a hinge may be that are too large for degrees.
 _COUNTS = (
     ", hundredths of them ({units=cdeg}) or counts of an encoder ({units=4096/rev} for 4096 a "
@@ -391,11 +398,7 @@ def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = sampling_period(recording.time)
     if not SHORTEST_STEP <= period <= LONGEST_STEP:
-        raise InputError(
-            f"time steps of {period:.6g} s are not those of a recording; pass "
-            f"{option_setting('units', 'ms')}, us or ns, or write 'time = 60 * TITLE' in "
-            f"{option_name('columns', 'FILE')}"
-        )
+        raise _wrong_period(recording, period)
     if period * FEW_SAMPLES > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(recording.time)
@@ -407,6 +410,42 @@ def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator
             f"samples are missing before {table.cite(late)}; the longest gap is "
             f"{1e3 * np.max(step):.4g} ms where {1e3 * period:.4g} ms is usual"
         )
+
+
+def _wrong_period(recording: Recording, period: float) -> InputError:
+    """Return the error of a period that no recording has [s], with the unit that makes it one.
+
+    Postures that are far apart in time are no recording in any unit.
+    """
+    fault = f"time steps of {period:.6g} s are not those of a recording"
+    time = recording.columns.time if recording.columns else None
+    if period > LONGEST_STEP and not is_sampled_motion(recording.q):
+        return InputError(
+            f"{fault}: positions jump from row to row, so they are postures, and these show no "
+            "friction, no inertia and no clock; record while the arm moves, at 100 rows per second "
+            "or more"
+        )
+    seconds = UNITS["time"]
+    # One of these units at most makes the rate of a log.
+    fitting = [
+        unit
+        for unit in TIME_UNITS
+        if time and LEAST_STEP <= period / time.factor * seconds[unit] <= LONGEST_STEP
+    ]
+    if not fitting:
+        return InputError(
+            f"{fault}; write 'time = 60 * TITLE', with its true factor to seconds, in "
+            f"{option_name('columns', 'FILE')}"
+        )
+    unit = fitting[0]
+    assert time is not None
+    if read_title(time.title).unit:
+        return InputError(
+            f"{fault}, though the title {time.title!r} says so: they fit {unit}; write 'time = "
+            f"{seconds[unit] / time.factor:g} * TITLE' in {option_name('columns', 'FILE')}"
+        )
+    units = option_setting("units", unit)
+    return InputError(f"{fault}: they fit {unit}; pass {units}", [("--units", unit)])
 
 
 def require_one_clock(recording: Recording) -> None:
@@ -442,11 +481,17 @@ def require_units(recording: Recording, robot: RobotModel, columns: ColumnMap) -
         if is_slide:
             limits = [robot.limits.lower[joint], robot.limits.upper[joint]]
             reach = MOST_RANGES * np.max(np.abs(limits))
-        if largest <= reach and np.mean(speed > LARGEST_SPEED) <= MOST_FAST:
+        is_fast = np.mean(speed > LARGEST_SPEED) > MOST_FAST
+        if largest <= reach and not is_fast:
             continue
         probable, unit = ("mm", "m") if is_slide else ("deg", "rad")
         fault = f"positions look like {'millimetres' if is_slide else 'degrees'}"
-        options = [("--units", probable), ("--units", unit)]
+        # With steps of another time no unit of angles makes a motion of an arm.
+        is_motion = (
+            is_slide or np.radians(np.max(np.ptp(recording.q, axis=0))) > LEAST_MOTION
+        )
+        options = [("--units", probable)] * bool(is_motion)
+        options += [("--units", unit)] * (not is_fast)
         # Degrees are less, and no whole numbers.
         is_counted = np.radians(largest) > reach or np.all(q == np.round(q))
         if is_counted and not is_slide:

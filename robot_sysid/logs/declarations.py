@@ -113,6 +113,17 @@ def parse_units(text: str) -> ColumnChoices:
     return ColumnChoices(**chosen)  # type: ignore[arg-type]
 
 
+def units_with(stated: str, given: str) -> str:
+    """Return the units of a list with those given before, but for those of the same kind."""
+    replaced = {kind for kind, unit in vars(parse_units(stated)).items() if unit}
+    kept = [
+        unit
+        for kind, unit in vars(parse_units(given)).items()
+        if kind in _UNIT_FORMS and unit and kind not in replaced
+    ]
+    return ",".join([*kept, stated])
+
+
 def declarations(source: Path | str) -> Mapping[str, str]:
     """Return key to value as a columns file, or a text in its place, states them.
 

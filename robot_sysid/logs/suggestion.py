@@ -24,6 +24,7 @@ from robot_sysid.logs.matching import Match, is_certain, match_alike, match_of_t
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.signals.stamps import is_sampled_motion
 
 BLANK = "?"
 """What stands for a column or a unit that could not be told."""
@@ -51,6 +52,8 @@ which friction is a larger part of."""
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
 # Excess over a joint's range that a zero elsewhere may make (chosen).
 _MARGIN = 1.2
+# Units of angles that a log may have in place of radians, the likelier one first.
+_ANGLES = ("deg", "cdeg")
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,8 @@ def find_time(
         suggestion = suggestion.declare("time", text, reason)
     unit = titles[indices[0]].unit or finder.choices.time_unit
     clock = samples[:, indices[0]] * seconds.get(unit or "s", 1.0)
-    if unit:
+    if unit or not any(is_sampled_motion(evidence.numbers(m)) for m in evidence.groups):
+        # Rows of postures have no rate.
         return clock, suggestion
     # Of such rates, one unit of time at most makes one.
     period = np.median(np.diff(clock))
@@ -248,12 +252,20 @@ def find_units(
     reach = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
     # More than an arm's joints have.
     reach[np.isinf(reach) & ~robot.is_slide] = 4.0 * np.pi
+    for unit in ("rad", *_ANGLES):
+        # From zero to a whole turn: what is beyond half of it is on the other side of zero.
+        turn = 2.0 * np.pi / values[unit]
+        hinges = q[:, ~robot.is_slide]
+        most = np.max(hinges, initial=0.0)
+        if np.min(hinges, initial=0.0) >= 0.0 and 0.5 * turn < most <= turn:
+            q = np.where(~robot.is_slide & (q > 0.5 * turn), q - turn, q)
+            break
     excess = np.max(np.abs(q), axis=0) / reach
     # Whole numbers may be the counts of an encoder.
     is_whole = np.all(q == np.round(q))
     for is_kind, declared, units in (
-        (~robot.is_slide, choices.angle_unit, ["deg", "cdeg"]),
-        (robot.is_slide, choices.length_unit, ["mm"]),
+        (~robot.is_slide, choices.angle_unit, _ANGLES),
+        (robot.is_slide, choices.length_unit, ("mm",)),
     ):
         largest = np.max(excess[is_kind], initial=0.0)
         if declared or largest <= _MARGIN:

@@ -27,6 +27,29 @@ rows. Stamps that are off by a tenth to nine tenths of a period make 1.05 to 1.6
 and 11 to 19 beside usual ones."""
 USUAL_SHARE = 0.98
 """Share of the rows whose roughness counts: the others may hold a wrap, or a wrong sample."""
+LEAST_STEPS = 10
+"""Steps from which on their correlation means something."""
+GOES_ON = 0.3
+"""Correlation of a step with the one before it, from which on a column goes on in the direction in
+which it came: postures in any order have about -0.5, a sine of which a period has eight rows 0.7.
+"""
+
+
+def is_sampled_motion(q: Array) -> bool:
+    """Return whether columns (N, n) go on from row to row as they came, as samples of a motion do.
+
+    Postures in any order do not. Steps of an encoder hide it from row to row, and not from every
+    second, fourth or eighth row to the next such one.
+    """
+    stride = 1
+    while len(q) // stride > LEAST_STEPS:
+        steps = np.diff(q[::stride], axis=0)
+        squares = np.sum(steps**2, axis=0)
+        products = np.sum(steps[1:] * steps[:-1], axis=0)
+        if np.any(products > GOES_ON * squares):
+            return True
+        stride *= 2
+    return False
 
 
 def even_time(time: Array, q: Array) -> Array | None:

@@ -50,6 +50,12 @@ def separate_joints(rows):
     return rows
 
 
+def in_any_order(rows):
+    """Postures in any order, 20 s apart."""
+    order = np.random.default_rng(0).permutation(len(rows))
+    return np.column_stack([20.0 * np.arange(len(rows)), rows[order, 1:]])
+
+
 TIME = np.s_[:, 0]
 Q = np.s_[:, 1:4]
 # Each fault changes the table and is an error that says the fragments.
@@ -76,7 +82,11 @@ ERRORS: dict[str, tuple[Callable, str]] = {
     ),
     "milliseconds": (
         changing(TIME, lambda t: 1e3 * t),
-        "time steps of 5 s.*--units ms, us or ns",
+        "time steps of 5 s.*: they fit ms; pass --units ms",
+    ),
+    "postures": (
+        in_any_order,
+        "time steps of 20 s.*they are postures.*record while the arm",
     ),
     "tiny time": (changing(TIME, lambda t: 1e-3 * t), r"5e-06 s.*60 \* TITLE"),
     "whole seconds": (
@@ -340,7 +350,7 @@ def test_a_slide_in_millimetres_is_told_by_its_range(tmp_path):
     arm = {"limits": limits(0.5), "is_slide": (False, True, False)}
     with refused("positions look like millimetres.*--units mm") as caught:
         read_measurements(path, JOINTS, **arm)
-    assert caught.value.options == (("--units", "mm"), ("--units", "m"))
+    assert caught.value.options == (("--units", "mm"),)
     log = read_measurements(path, JOINTS, **arm, units="mm")
     np.testing.assert_allclose(log.q[:, 1], 0.4 * data.q[:, 1])
     np.testing.assert_allclose(log.q[:, 0], data.q[:, 0])

@@ -50,6 +50,18 @@ def test_slides_have_units_of_their_own(tmp_path):
     np.testing.assert_allclose(found.q, log.q, atol=1e-12)
 
 
+def test_rows_of_postures_have_no_unit_of_time(truth, tmp_path):
+    log = truth.log
+    order = np.random.default_rng(0).permutation(len(log))[:60]
+    postures = replace(log[:60], q=log.q[order], qd=log.qd[order], tau=log.tau[order])
+    postures = replace(postures, time=20.0 * np.arange(60.0))
+    signals = {"time": "t", "w{}_pos_y": "q", "tau{}": "tau"}
+    path = write_signals(tmp_path / "log.csv", postures, signals)
+    with pytest.raises(InputError) as caught:
+        open_log(truth.robot, path)
+    assert caught.value.options == (("--columns", "position = w*_pos_y"),)
+
+
 TWINS = {
     "actuators": {
         "frame_time_ms": "ms",
