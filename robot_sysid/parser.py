@@ -215,6 +215,8 @@ def _turned_gravity(robot: RobotModel, direction: Sequence[float] | Array) -> Ar
     InputError where that is no direction.
     """
     vector = np.array(direction, dtype=float)
+    # Squares of large and of small numbers are not finite, or zero.
+    vector /= np.max(np.abs(vector), initial=0.0) or 1.0
     length = np.linalg.norm(vector)
     size = np.linalg.norm(gravity_vector(robot)) or EARTH_GRAVITY
     if vector.shape != (3,) or not 0.0 < length < np.inf:

@@ -50,6 +50,12 @@ def refusal(config, **values):
 REFUSED = {
     "a.xml --noise-torque 0.1": "--noise-torque belongs to a simulated plant",
     "a.xml --duration 0": "--duration must be positive",
+    "identify a.xml b.csv --torque-scale 1e308": "--torque-scale must be positive, from 1e-09 to",
+    "identify a.xml b.csv --torque-scale 1,1e-308": "--torque-scale must be positive, from",
+    "identify a.xml b.csv --torque-constants 1e308": "--torque-constants must be positive, f",
+    "identify a.xml b.csv --mass-scale 1e308": "--mass-scale must be positive, from 1e-09",
+    "identify a.xml b.csv --gravity nan 0 0": "--gravity must be a number (got nan)",
+    "identify a.xml b.csv --gravity 0 inf 0": "--gravity must be a number (got inf)",
     "a.xml --duration=--": "--duration must be a number",
     "a.xml --duration long": "argument --duration: invalid float value",
     "a.xml --speed 1e-12": "a trajectory of 1.5e+13 s with --sample-rate 1000 has",

@@ -23,6 +23,8 @@ HELD = {
     "a `<!DOCTYPE>`": f"{DOCUMENTS}test_a_doctype_in_another_file_is_not_opened",
     "an `<include>`": f"{DOCUMENTS}test_nothing_of_a_file_that_is_no_model_is_shown",
     "a model that includes itself": f"{DOCUMENTS}test_includes_that_fail_are_one_line",
+    "a model of more than": "mjcf/test_size.py::"
+    "test_what_no_arm_has_is_refused_by_its_size",
     "comments that": f"{DOCUMENTS}test_marks_that_never_end_take_no_longer_than_their_length",
     "elements nested": f"{DOCUMENTS}test_what_is_no_model_is_refused_in_one_line",
     "a pipe or a device in place of a model": SPECIAL,
@@ -52,6 +54,8 @@ HELD = {
     "a xacro, which": "mjcf/test_xacro_files.py::test_a_strangers_xacro_does_no_harm",
     "numbers such as": "model/test_compilation.py::"
     "test_what_mujoco_refuses_is_one_line_with_the_file",
+    "as an option": "test_config.py::"
+    "test_what_means_nothing_or_excludes_each_other_is_refused",
     "counted in a log": "logs/test_table.py::"
     "test_rows_with_holes_or_rubbish_are_left_out_and_counted",
     "Nothing is written": "test_security.py::"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +63,7 @@ def refuse_large(path: Path, root: Node, read: Callable[[Path], Node]) -> None:
             counts["body"] += times * _product(node.get("count"))
         elif tag == "attach":
             counts["body"] += times
-            attached = _attached(node, files[-1])
-            if attached is not None:
-                if any(os.path.samefile(attached, file) for file in files):
-                    raise ModelError(
-                        f"{path}: {attached.name} attaches itself; leave that out"
-                    )
+            for attached in _attached(node, files):
                 waiting.append((read(attached), times, (*files, attached)))
         counts[tag] += times
         for name in ("body", tag):
@@ -88,12 +83,17 @@ def _product(text: str | None) -> float:
         return 1.0
 
 
-def _attached(node: Node, including: Path) -> Path | None:
-    """Return the file of the model that an <attach> names; None where MuJoCo will not find it."""
+def _attached(node: Node, files: tuple[Path, ...]) -> Iterator[Path]:
+    """Yield the file of the model that an <attach> names, if MuJoCo will find one.
+
+    ModelError where that is one of the files that it stands in, the last of ``files``.
+    """
     name = node.get("model")
     for model in node.getroottree().iter("model"):
         file = model.get("file")
-        path = including.parent / (file or "")
-        if file and name in (model.get("name"), path.stem) and path.is_file():
-            return path
-    return None
+        path = files[-1].parent / (file or "")
+        if not file or name not in (model.get("name"), path.stem) or not path.is_file():
+            continue
+        if any(os.path.samefile(path, other) for other in files):
+            raise ModelError(f"{path} attaches itself; leave that out")
+        yield path

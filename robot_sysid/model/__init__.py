@@ -13,6 +13,7 @@ from robot_sysid.records.option_fields import (
     Factor,
     OptionRecord,
     PathUse,
+    check_finite,
     check_scale,
     option,
 )
@@ -44,6 +45,7 @@ class ModelOptions(OptionRecord):
         "direction in which gravity acts, in the model's axes: of an arm that hangs, or is mounted "
         "on a wall",
         metavar=("X", "Y", "Z"),
+        check=check_finite,
         default_text="what the model says",
     )
     keyframe: Optional[str] = option(

@@ -88,6 +88,9 @@ LEAST_LIKENESS = 0.7
 """How alike two words are, from 0 to 1 of ``difflib``, of which one may be meant by the other."""
 MOST_SAMPLES = 1e9
 """Largest number of samples of a trajectory: a run of that many takes days."""
+MOST_FACTOR = 1e9
+"""Largest factor between numbers of a log or a model and SI units, that of nano: beyond it squares
+of torques are zero or infinite."""
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints for which neither the user states one nor the model a lower one
 [rad/s]."""
@@ -453,6 +456,11 @@ def check_not_negative(value: float) -> str | None:
     return None if fits else f"must be a number that is not negative (got {value:g})"
 
 
+def check_finite(value: float) -> str | None:
+    """Return a complaint unless a number is finite; None where it is."""
+    return None if math.isfinite(value) else f"must be a number (got {value:g})"
+
+
 def check_speed_factor(value: float) -> str | None:
     """Return a complaint unless a number is above 0 and at most 1; None where it is."""
     fits = 0.0 < value <= 1.0
@@ -534,9 +542,16 @@ def parse_columns(text: str) -> Columns:
 def check_scale(value: Factor) -> str | None:
     """Return a complaint unless a value has positive numbers only; None where it has."""
     if not isinstance(value, RoughFactors):
-        return check_positive(value)
-    complaints = map(check_positive, (*leaves(value.values), value.error))
-    return next(filter(None, complaints), None)
+        return _check_factor_size(value)
+    complaints = [*map(_check_factor_size, leaves(value.values))]
+    return next(filter(None, [*complaints, check_positive(value.error)]), None)
+
+
+def _check_factor_size(value: float) -> str | None:
+    """Return a complaint unless a factor is one between two units; None where it is."""
+    fits = 1.0 / MOST_FACTOR <= value <= MOST_FACTOR
+    text = f"must be positive, from {1.0 / MOST_FACTOR:g} to {MOST_FACTOR:g} (got {value:g})"
+    return None if fits else text
 
 
 def check_factor(value: Factor | Path) -> str | None:
@@ -603,7 +618,9 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
         stated = entry if isinstance(entry, dict) else {"value": entry}
         error = math.nan
         if "standard_error" in stated:
-            error = _checked_factor(path, joint, stated["standard_error"])
+            error = _checked_factor(
+                path, joint, stated["standard_error"], check_positive
+            )
         factors[str(joint)] = _checked_factor(path, joint, stated.get("value")), error
     return factors
 
@@ -617,18 +634,20 @@ def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) ->
     for joint, (scale, error) in scales.items():
         entries[joint] = {
             "value": _checked_factor(path, joint, scale),
-            "standard_error": _checked_factor(path, joint, error),
+            "standard_error": _checked_factor(path, joint, error, check_positive),
         }
     write_atomically(path, json_text({"version": 2, SCALE: entries}))
 
 
-def _checked_factor(path: Path, joint: str, value: object) -> float:
-    """Return a factor or standard error of a file; InputError where it is no positive number.
+def _checked_factor(
+    path: Path, joint: str, value: object, check: Check = check_factor
+) -> float:
+    """Return a factor or standard error of a file; InputError where its check complains.
 
     ``joint``: the name of the joint that it belongs to, for the message.
     """
     factor = float(value) if isinstance(value, (int, float)) else math.nan
-    complaint = check_factor(factor)
+    complaint = check(factor)
     if complaint:
         raise InputError(f"{path}: the factor of joint {joint} {complaint}")
     return factor
