@@ -13,7 +13,7 @@ from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
 from robot_sysid.config import OutputOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.records.file_access import temporary_folder
+from robot_sysid.records.drafts import temporary_folder
 from robot_sysid.records.installation import PACKAGE_FOLDER
 from robot_sysid.records.messages import shell_word
 from robot_sysid.records.option_fields import (

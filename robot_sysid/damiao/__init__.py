@@ -29,7 +29,8 @@ from robot_sysid.damiao.weight_file import export_weight
 from robot_sysid.errors import InputError
 from robot_sysid.pipeline.motors import ArmMotors
 from robot_sysid.records import Limits, RobotModel
-from robot_sysid.records.file_access import DAMIAO_NAME, temporary_folder
+from robot_sysid.records.drafts import temporary_folder
+from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.option_fields import given_values
 
 if TYPE_CHECKING:

@@ -7,12 +7,12 @@ so its compiled inertias are replaced by accurate ones.
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import locale
 import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Union
@@ -36,6 +36,7 @@ from robot_sysid.model.actuators import with_actuators_in_joints
 from robot_sysid.model.bodies import inertia_about_com
 from robot_sysid.model.dry_friction import with_dry_friction_in_joints
 from robot_sysid.records import Array
+from robot_sysid.records.drafts import temporary_folder
 from robot_sysid.records.messages import Progress
 from robot_sysid.wording import option_name
 
@@ -86,7 +87,7 @@ class CompiledModel:
     mimics: Mapping[str, str] = field(default_factory=dict)
 
 
-@contextmanager
+@contextlib.contextmanager
 def captured_warnings() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings in the list yielded, instead of on stderr and in a log file.
 
@@ -106,7 +107,7 @@ def captured_warnings() -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(previous)
 
 
-@contextmanager
+@contextlib.contextmanager
 def warnings_as_notes(progress: Progress) -> Iterator[None]:
     """Report MuJoCo's warnings of a block at its end, each of them once."""
     with captured_warnings() as warnings:
@@ -257,7 +258,8 @@ def restore_exact_inertias(
 InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
 """A model that a program holds in memory."""
 # Folders of the files that ``file_of`` wrote; they are removed when the process ends.
-_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
+_FOLDERS = contextlib.ExitStack()
+atexit.register(_FOLDERS.close)
 
 
 def is_in_memory(model: Any) -> bool:
@@ -288,8 +290,7 @@ def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
 
 def lasting_folder() -> Path:
     """Return a new folder that is removed when this process ends."""
-    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
-    return Path(_FOLDERS[-1].name)
+    return _FOLDERS.enter_context(temporary_folder())
 
 
 def _write_all_digits(path: Path, model: Any) -> None:

@@ -23,6 +23,7 @@ from typing import Any, TextIO
 
 from robot_sysid.errors import InputError, delay_signals, error_text
 from robot_sysid.records.controllers import SIMULATORS
+from robot_sysid.records.drafts import new_draft, remove_leftovers
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Format of the robot's model file to the name of the written model: a URDF stays one."""
@@ -55,8 +56,6 @@ RESULT_NAMES = (
     *SIMULATOR_CARD_NAMES.values(),
 )
 """Names of files that any run may write to its output folder."""
-# Begin of the name of a draft, a hidden file that is renamed when it is complete.
-_DRAFT_PREFIX = ".robot-sysid-"
 # Bytes of a file that are in memory at once while it is hashed.
 _PIECE = 2**20
 # How deep lists and tables of settings and results may lie within each other: theirs lie eight
@@ -213,6 +212,7 @@ class AtomicFiles:
 
     def __init__(self) -> None:
         self._drafts: dict[Path, Path] = {}
+        self._locks: dict[Path, int] = {}
         self._unwanted: list[Path] = []
         self._created_folders: list[Path] = []
 
@@ -220,7 +220,8 @@ class AtomicFiles:
         """Create an empty draft of the file ``path``, and its folder; return where the draft is.
 
         The draft has the suffix of ``path``, so that it can be loaded and checked before
-        ``commit``. An earlier draft of ``path`` is removed.
+        ``commit``. An earlier draft of ``path`` is removed, and so are those that killed runs left
+        in its folder.
         """
         if os.path.isdir(path):
             raise InputError(
@@ -233,11 +234,9 @@ class AtomicFiles:
                 if not os.path.exists(folder):
                     folder.mkdir(exist_ok=True)
                     self._created_folders.append(folder)
-            # A hidden name, with the path's suffix cut to 25 characters.
-            name = f"{_DRAFT_PREFIX}{os.urandom(4).hex()}{path.suffix[-25:]}"
-            self._drafts[path] = path.with_name(name)
-            # touch() and not a temporary file of tempfile: the user's umask decides who may read.
-            self._drafts[path].touch(exist_ok=False)
+            remove_leftovers(path.parent)
+            with delay_signals():
+                self._drafts[path], self._locks[path] = new_draft(path)
         return self._drafts[path]
 
     @contextlib.contextmanager
@@ -267,6 +266,7 @@ class AtomicFiles:
         """Remove the draft of the file ``path``, if there is one; ``commit`` then leaves it out."""
         if path in self._drafts:
             self._drafts.pop(path).unlink(missing_ok=True)
+            os.close(self._locks.pop(path))
 
     def remove(self, path: Path) -> None:
         """Have ``commit`` remove an existing file, after all drafts have their final names."""
@@ -299,6 +299,9 @@ class AtomicFiles:
             # The draft may have its final name, or never have been made.
             with contextlib.suppress(OSError):
                 draft.unlink()
+        for lock in self._locks.values():
+            os.close(lock)
+        self._locks.clear()
         for folder in reversed(self._created_folders):
             # The folder may hold a file.
             with contextlib.suppress(OSError):
@@ -337,15 +340,6 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     """Write a file whole or not at all, and create its folder where it is missing."""
     with atomic_files() as files:
         files.write(path, content)
-
-
-@contextlib.contextmanager
-def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Yield a new folder that is removed after the block, in ``parent`` or the system's place."""
-    import tempfile
-
-    with tempfile.TemporaryDirectory(dir=parent, prefix=_DRAFT_PREFIX) as name:
-        yield Path(name)
 
 
 def require_writable(folder: Path) -> None:

@@ -26,7 +26,7 @@ from robot_sysid.damiao.settings import Plan, slowing_in_a_cycle
 from robot_sysid.errors import SysidError, error_text
 from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.records import Array
-from robot_sysid.records.file_access import temporary_folder
+from robot_sysid.records.drafts import temporary_folder
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import given_values
