@@ -37,6 +37,7 @@ HELD = {
     "test_toml_without_end_or_with_a_character_zero_is_refused_in_one_line",
     "a character zero": "records/test_file_access.py::"
     "test_toml_without_end_or_with_a_character_zero_is_refused_in_one_line",
+    "a params.json with": "results/test_schema.py::test_what_is_missing_is_named",
     "an integer": "records/test_file_access.py::test_an_integer_beyond_all_floats_is_infinite",
     "names and titles": "test_cli.py::test_of_a_long_name_beginning_and_end_are_shown",
     "control characters": "test_cli.py::test_names_cannot_steer_the_terminal",

@@ -20,6 +20,7 @@ from robot_sysid.records import ITSELF, SIGNAL_NAMES, Array, Traces
 from robot_sysid.records.file_access import PARAMS_NAME, read_json, write_atomically
 from robot_sysid.results.content import SCHEMA_VERSION
 from robot_sysid.results.record import PAYLOAD
+from robot_sysid.results.schema import form_fault
 from robot_sysid.results.table import ORIGIN, rows_of
 
 DATA_NAME = "report_data.npz"
@@ -117,6 +118,18 @@ class Run:
         return None if None in theta else np.array(theta, dtype=float)
 
 
+def _missing_row(content: Mapping[str, Any]) -> str:
+    """Return which row of a body that has an inertia is missing; "" for none."""
+    names: dict[str, set[str]] = {}
+    for row in content["quantities"]:
+        names.setdefault(row["of"], set()).add(row["name"])
+    for body, there in names.items():
+        missing = [name for name in ORIGIN if name not in there]
+        if missing and ORIGIN[-1] in there:
+            return f"{body} has no row {missing[0]}"
+    return ""
+
+
 def fingerprint(folder: Path) -> str:
     """Return the SHA-256 hash of the params.json in a folder."""
     return hashlib.sha256((folder / PARAMS_NAME).read_bytes()).hexdigest()
@@ -143,6 +156,9 @@ def load_run(folder: Path) -> Run:
             f"{path} has schema_version {version!r:.20}, and this program reads {SCHEMA_VERSION}; "
             f"{remedy}"
         )
+    fault = form_fault(content, "params") or _missing_row(content)
+    if fault:
+        raise InputError(f"{path} is no whole result: {fault}; {remedy}")
     run = Run(folder, content)
     if content.get("source") == ITSELF:
         return run
