@@ -66,7 +66,7 @@ def run_config(
         _write_settings(config, name)
     missing = None
     if config.output.report:
-        missing = draw_report(config, console)
+        missing = draw_report(config, written.verdict, console)
     if written.failure:
         raise SysidError(" ".join(written.verdict))
     console.stage(*written.verdict)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
             differences = [f"no common fit of the two runs: {error}"]
     path = write_report(runs, folder, mesh_dir, console, differences, changes)
     console.stage(f"Written: {path}", *differences)
-    verdicts = [run.content["verdict"] for run in runs]
+    verdicts = [run.verdict for run in runs]
     console.result(
         {"written": [str(path)], "verdicts": verdicts, "differences": differences}
     )
@@ -80,11 +80,12 @@ COMMANDS = (
 )
 
 
-def draw_report(config: Config, console: Console) -> str | None:
+def draw_report(config: Config, verdict: Sequence[str], console: Console) -> str | None:
     """Draw the report of a run that has just ended; return why it is missing, or None.
 
     Args:
         config: options of the run, with the folders of its results and of the model's meshes.
+        verdict: last lines of the run, with the next step.
         console: prints where the report is.
     """
     from robot_sysid.report.page import write_report
@@ -94,7 +95,8 @@ def draw_report(config: Config, console: Console) -> str | None:
     try:
         folder = config.output.output_dir
         mesh_dir = config.model.mesh_dir
-        path = write_report([load_run(folder)], folder, mesh_dir, console)
+        run = replace(load_run(folder), printed=tuple(verdict))
+        path = write_report([run], folder, mesh_dir, console)
     except Exception as error:  # The run is done, and its results must stand.
         cause = f"{type(error).__name__}: {error}"
         if isinstance(error, SysidError):

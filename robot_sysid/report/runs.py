@@ -17,8 +17,14 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.table import as_input_errors
 from robot_sysid.records import ITSELF, SIGNAL_NAMES, Array, Traces
-from robot_sysid.records.file_access import PARAMS_NAME, read_json, write_atomically
+from robot_sysid.records.file_access import (
+    PARAMS_NAME,
+    RESULT_NAMES,
+    read_json,
+    write_atomically,
+)
 from robot_sysid.results.content import SCHEMA_VERSION
+from robot_sysid.results.lines import last_lines
 from robot_sysid.results.record import PAYLOAD
 from robot_sysid.results.schema import form_fault
 from robot_sysid.results.table import ORIGIN, rows_of
@@ -90,12 +96,29 @@ class Run:
         content: content of params.json.
         traces: signals to draw; None if they cannot be read, and of a self-test.
         missing: one sentence on why they cannot be read; "" otherwise.
+        printed: last lines of the console of a run that has just ended; () of an earlier one.
     """
 
     folder: Path
     content: Mapping[str, Any]
     traces: Traces | None = None
     missing: str = ""
+    printed: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """The verdict, which of the folder's files to use and, of a run just ended, the next step.
+
+        A folder that was copied or moved has its files where it is now. The command that a run
+        printed next was one for where that ran.
+        """
+        if self.printed:
+            return self.printed
+        file = self.content["file"]
+        first = [file["name"]] if file else []
+        names = dict.fromkeys((*first, *RESULT_NAMES))
+        files = [self.folder / name for name in names if (self.folder / name).is_file()]
+        return tuple(last_lines(self.content, files, None))
 
     @property
     def bodies(self) -> list[str]:

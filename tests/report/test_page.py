@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -132,7 +133,8 @@ def test_the_title_names_the_robot_the_day_and_the_logs(link_run, tmp_path):
 
 def test_a_command_of_the_verdict_stands_alone_to_be_copied(link_run, tmp_path):
     lines = ("Usable: yes", "Next, to test it:", "  robot-sysid log 'a b.csv'")
-    text = page_with(link_run, tmp_path, verdict=lines)
+    run = replace(load_run(link_run), printed=lines)
+    text = write_report([run], tmp_path).read_text(encoding="utf-8")
     assert "<pre>robot-sysid log &#39;a b.csv&#39;</pre>" in text
     assert "<p>Next, to test it:</p>" in text
 
@@ -144,6 +146,18 @@ def test_a_page_has_no_control_characters(link_run, tmp_path):
     assert not [
         letter for letter in text if letter != "\n" and printable(letter) != letter
     ]
+
+
+def test_a_folder_that_was_moved_has_its_files_where_it_is(link_run, tmp_path):
+    """Nor is a command repeated that was one for another place."""
+    lines = (
+        "Usable: yes",
+        "Use this file: old/updated_model.xml",
+        "  robot-sysid log a.csv",
+    )
+    text = page_with(link_run, tmp_path, verdict=lines)
+    assert f"Use this file: {tmp_path / 'updated_model.xml'}</p>" in text
+    assert "old/updated_model.xml" not in text and "<pre>robot-sysid" not in text
 
 
 def rating_in(text):
