@@ -336,8 +336,9 @@ def check(
     Args:
         model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
         log: of any motion, such as of a task, see ``robot_sysid.Log``; or several.
-        since: an earlier log, or several; or the path of the folder of a run of ``identify``. By
-            default the log is compared with the model.
+        since: an earlier log, or several; or the path of the folder of a run of ``identify``, or of
+            ``payload``, of which the logs without the payload count. By default the log is compared
+            with the model.
         options: what ``ModelOptions`` and ``LogOptions`` take; those of logs are for ``log`` alone.
 
     Returns:

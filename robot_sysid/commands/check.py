@@ -28,8 +28,8 @@ class EarlierLog(FileArguments):
 
     since: tuple[Path, ...] = option(
         (),
-        "earlier log, or the folder of a run of identify on it; without it the log is compared "
-        "with the model",
+        "earlier log, or the folder of a run on it, of payload on its empty logs; without it the "
+        "log is compared with the model",
         "EARLIER",
         takes_many=True,
     )

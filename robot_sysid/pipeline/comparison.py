@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.config import IdentifyConfig, with_scale_prior
+from robot_sysid.config import IdentifyConfig, PayloadConfig, with_scale_prior
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import judge, require_acceptable, usable_fit
 from robot_sysid.errors import InputError, SysidError
@@ -147,11 +147,14 @@ def check_log(
         )
     folders = [path for path in since if isinstance(path, Path)]
     is_run = [(path / RUN_NAME).is_file() for path in folders] == [True]
+    weighed = False
     try:
         # Options of the command are those of the log alone: an earlier log has its own.
         earlier = replace(config, log=FittedLogOptions(measurements=tuple(since)))
         if is_run:
-            (earlier,) = _configs_of([load_run(folders[0])])
+            run = load_run(folders[0])
+            weighed = bool(run.content["payload"])
+            earlier = _config_of_empty(run) if weighed else _configs_of([run])[0]
         first = _read(robot, earlier, progress)
         if not is_run:
             found = _found_alone(robot, first, earlier)
@@ -181,7 +184,16 @@ def check_log(
             f"{second[0].name} shows nothing that could have changed: its joints hardly move, or "
             "those of the earlier log; record a motion of all joints"
         )
-    return Check(names, earlier_names, bool(changed), tuple(rows), verdict_on(rows))
+    notes: tuple[str, ...] = ()
+    if weighed:
+        notes = (
+            f"{folders[0]} is of a weighing: the log is compared with those without the payload "
+            f"({', '.join(earlier_names)}), so that a payload which is on now comes on as a load",
+        )
+    has_changed = bool(changed)
+    return Check(
+        names, earlier_names, has_changed, tuple(rows), verdict_on(rows), notes
+    )
 
 
 def compare_with_model(
@@ -349,6 +361,18 @@ def _configs_of(runs: Sequence[Run]) -> list[IdentifyConfig]:
         logs = tuple(map(Path, run.content["logs"]))
         configs.append(replace(config, log=replace(config.log, measurements=logs)))
     return configs
+
+
+def _config_of_empty(run: Run) -> IdentifyConfig:
+    """Return the options of a weighing for its logs without the payload, with their paths."""
+    weighing = PayloadConfig.of(**read_toml(run.folder / RUN_NAME))
+    logs = run.content["logs"][: len(weighing.payload.empty)]
+    paths = tuple(map(Path, logs))
+    return IdentifyConfig(
+        model=weighing.model,
+        log=FittedLogOptions(**vars(weighing.log), measurements=paths),
+        estimation=weighing.estimation,
+    )
 
 
 def _read(

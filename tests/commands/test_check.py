@@ -20,6 +20,7 @@ ARM = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
 OTHER = small_arms.serial_arm(
     (small_arms.Z, small_arms.Y, small_arms.X, small_arms.Y), joint='range="-2.5 2.5"'
 )
+LOAD = spatial.theta_from_com(0.8, np.array([0.0, 0.02, 0.1]), 2e-3 * np.eye(3))
 TURNED = np.radians(2.0) * np.eye(4)[1]
 FRICTION_ALONE = np.array([1.0, 1.0, 1.0, -1.0])
 
@@ -39,6 +40,8 @@ def folder(tmp_path_factory):
         "same": same,
         "turned": replace(same, q=same.q + TURNED),
         "sign": replace(same, tau=same.tau * FRICTION_ALONE),
+        "carrying": first.arm.log(motion, noise, LOAD),
+        "carrying_again": first.arm.log(first.motion, noise, LOAD),
         "still": replace(same, q=np.tile(same.q[:1], (len(same), 1))),
         "other": truth_of(small_arms.robot_of(OTHER), 3).log,
     }
@@ -139,3 +142,18 @@ def test_since_takes_the_folder_of_a_run_from_anywhere(command, folder, tmp_path
     printed = command.run("check arm.xml same.csv --since run", code=2)
     assert "--since takes" in printed.err and "earlier.csv: No such" in printed.err
     (folder / "moved.csv").rename(folder / "earlier.csv")
+
+
+@pytest.mark.slow
+def test_since_takes_the_folder_of_a_weighing_for_its_empty_logs(command):
+    weigh = (
+        "payload arm.xml --empty earlier.csv --loaded carrying.csv --output-dir weighed"
+    )
+    command.run(weigh)
+    printed = command.run("check arm.xml same.csv --since weighed")
+    assert "Unchanged" in printed.out
+    assert (
+        "those without the payload (/" in printed.err and "earlier.csv)" in printed.err
+    )
+    printed = command.run("check arm.xml carrying_again.csv --since weighed", code=1)
+    assert re.search(r"Changed: 0\.[78]\d+ ± [\d.]+ kg came on", printed.out)
