@@ -56,6 +56,8 @@ FIRST_NOISE = 0.05
 """Noise that a fit begins with, as a share of each joint's torque."""
 SAME_NOISE = 1e-3
 """Relative change of the noise below which it has been found."""
+NOISE = "noise"
+"""The cause of errors that is none of a term: noise of the torques."""
 # Variance of a parameter, over that of its column alone, from which on nothing shows it.
 _HIDDEN = 1e9
 # Added to the diagonal of scaled equations: parameters that nothing shows stay at the model's.
@@ -500,7 +502,7 @@ class Fit(Problem):
                 budget[term.cause] = budget.get(term.cause, 0.0) + share
         scales = np.sum((combinations @ self.scale_errors) * combinations, axis=1)
         budget[SCALES] = budget.get(SCALES, 0.0) + scales
-        causes = {"noise": np.maximum(rest, 0.0), **budget}
+        causes = {NOISE: np.maximum(rest, 0.0), **budget}
         return {cause: np.sqrt(variances) for cause, variances in causes.items()}
 
     def share(self) -> Array:

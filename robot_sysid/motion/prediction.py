@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot_sysid.estimate.fit import NOISE
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.starts import contact_on_the_way
@@ -74,6 +75,15 @@ class Prediction:
     def relative_mass_error(self) -> float:
         """Predicted standard error of the mass over the mass; infinite if not identified."""
         return float(self.errors[0] / self.size[0])
+
+    def relative_mass_error_after(self, factor: float) -> float:
+        """Return what it is if the motion lasts so many times as long, and shows as much a second.
+
+        Noise averages out, what the model does not explain stays.
+        """
+        variances = {cause: mass**2 for cause, (mass, _) in self.by_cause.items()}
+        variances[NOISE] = variances.get(NOISE, 0.0) / factor
+        return float(math.sqrt(sum(variances.values())) / self.size[0])
 
     @property
     def centre_error(self) -> float:

@@ -53,6 +53,11 @@ STEPS: Mapping[str, Step] = {
         "{folder}/empty_again.csv, and weigh the difference",
         _WEIGHED,
     ),
+    "load not seen": Step(
+        "Next, plan a longer motion, which is expected to show it to {share}",
+        "plan {model} {options} {plan_options}",
+        starts_motion=True,
+    ),
     "motion planned for motors": Step(
         "Next, rehearse the motion on simulated motors",
         "motors simulate {trajectory} --model {model} {options} --record {folder}/rehearsed.csv",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,8 @@ _SLOPE_ROWS = 1000
 REVERSAL_SPEED = 0.01
 """Speed over which the feed-forward of dry friction turns its sign [rad/s]: a wider transition is
 gentler, but an arm that sticks longer at its reversals shows less; 0.03 costs a millimetre more."""
+LONG = 60.0
+"""Duration of a motion that is proposed where a shorter one tells too little of a load [s]."""
 LEAST_GAIN = 0.05
 """Least share by which a motion has to lower the error to expect of a file, to be worth playing:
 what is promised of a file changes by as much with other made-up motions."""
@@ -112,7 +115,9 @@ def write_plan(
         verdict = [plan_verdict(shortfall, conditions)]
         if not shortfall:
             step = _step_after(config, arm_motors(config.motors, robot))
-            verdict += step.lines()
+        elif prediction is not None:
+            step = _step_to_longer_motion(config, prediction)
+        verdict += step.lines() if step else ()
     answer = {
         "verdict": verdict,
         "next_step": step,
@@ -208,6 +213,31 @@ def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
     return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
 
 
+def _step_to_longer_motion(
+    config: PlanConfig, prediction: Prediction
+) -> NextStep | None:
+    """Return the longer motion that shows the load that is to be weighed, or None if none does.
+
+    Noise falls with the root of the duration, and nothing else does.
+    """
+    trajectory = config.trajectory
+    is_designed = trajectory.file is None and trajectory.duration < LONG
+    if prediction.file is not None or not is_designed:
+        return None
+    share = prediction.relative_mass_error_after(LONG / trajectory.duration)
+    if INTERVAL * share >= 1.0:
+        return None
+    given: dict[str, Any] = {"duration": LONG}
+    stated = {name: o for name, o in config.options().items() if name != "model"}
+    for name in stated:
+        given = {**given_values(getattr(config, name)), **given}
+    options = command_arguments(given, chain(*stated.values()))
+    values = vars(config.model)
+    return step_after(
+        "load not seen", values, plan_options=options, share=percent(share)
+    )
+
+
 def purpose_shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """Return why nothing gets better by a motion, the written file or a weighing; "" if it does.
 
@@ -226,7 +256,7 @@ def purpose_shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     if file.after > (1.0 - LEAST_GAIN) * file.before:
         return (
             "after this motion the written file is expected to be no better than the model, "
-            f"{percent(file.after)} off on any motion"
+            f"{percent(file.after)} off on any motion: use the model, or plan a longer motion"
         )
     return ""
 
@@ -240,7 +270,11 @@ def _weighing_shortfall(prediction: Prediction) -> str:
         is_said = bool(prediction.invisible)
         return "" if is_said else f"this motion does not determine {mass}"
     if INTERVAL * share >= 1.0:
-        return f"after this motion {mass} is known to {percent(share)} only"
+        least = INTERVAL * float(prediction.errors[0])
+        return (
+            f"after this motion {mass} is known to {percent(share)} only; it shows loads from "
+            f"{least:.2g} kg on: weigh a lighter one on scales"
+        )
     return ""
 
 

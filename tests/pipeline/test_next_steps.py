@@ -20,6 +20,8 @@ WORDS = {
     "folder": Path("out"),
     "now": "13 %",
     "expected": "3 %",
+    "share": "30 %",
+    "plan_options": ["--duration", "60"],
 }
 
 

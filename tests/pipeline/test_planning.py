@@ -121,6 +121,26 @@ def test_the_step_after_a_motion_that_is_not_ready_does_not_play_it(
     assert (written.result["next_step"] is None) == verdict.startswith("Not ready")
 
 
+@pytest.mark.parametrize(("noise", "is_longer"), [(0.6, True), (1.2, False)])
+def test_a_load_in_the_noise_needs_a_longer_motion_or_a_heavier_load(
+    robot, tmp_path, noise, is_longer
+):
+    """Four times as long, noise is half of it; the command repeats what was asked."""
+    causes = {"noise": (noise, 0.1), "the torque scales": (0.1, 0.1)}
+    mass_error = np.hypot(noise, 0.1)
+    prediction = replace(predicted(mass_error), by_cause=causes)
+    options = {"for_": "payload", "payload_reserve": 0.2, "output_dir": tmp_path}
+    config = PlanConfig.of(robot.path, **options)
+    written = write_plan(config, robot, CheckedPlan(still()), prediction, [])
+    least = f"shows loads from {2.0 * mass_error:.2g} kg on"
+    assert "Not ready" in written.verdict[0] and least in written.verdict[0]
+    assert len(written.verdict) == 1 + 2 * is_longer
+    if is_longer:
+        assert "to 32 %" in written.verdict[1]
+        for option in ("--duration 60", "--for payload", "--payload-reserve 0.2"):
+            assert option in written.verdict[2]
+
+
 def test_a_start_behind_a_wall_is_a_condition(arm_file, tmp_path):
     """A wall stands between an arm that leans left and the pose where it leans right."""
     left, right = ((0.0, lean, 0.0, 0.0) for lean in (-0.9, 0.9))
