@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from rigs.arms import small_arms
 from rigs.files.refusals import refused
@@ -66,6 +67,8 @@ def signals_of(log: Recording) -> dict[str, np.ndarray]:
     """What logs hold, in SI units and in others."""
     assert log.qd is not None
     time = log.time[:, None]
+    smooth = savgol_filter(log.q, 31, 3, axis=0)
+    gripper = 0.3 + 0.1 * np.sin(log.time)
     return {
         "t": time,
         "ms": 1e3 * time,
@@ -83,6 +86,18 @@ def signals_of(log: Recording) -> dict[str, np.ndarray]:
         "warm": 0.0 * log.tau + 40.0 * np.eye(log.tau.shape[1])[1],
         "zeros": 0.0 * log.tau,
         "soll": np.degrees(log.q) + 0.01,
+        "steps in us": np.full_like(time, 1e6 * (log.time[1] - log.time[0])),
+        "mrad": 1e3 * log.q,
+        "mA": 1e3 * log.tau,
+        # Commanded positions that measured ones follow, or that have no noise.
+        "earlier": np.vstack((log.q[5:], np.tile(log.q[-1], (5, 1)))),
+        "smooth": smooth,
+        "filtered": np.vstack((np.tile(smooth[0], (5, 1)), smooth[:-5])),
+        # What lay in memory that was never written.
+        "unwritten": np.where(log.q > 0.4, 1e235, log.q),
+        "q, gripper": np.column_stack((log.q, gripper)),
+        "tau, gripper": np.column_stack((log.tau, gripper)),
+        "heat, gripper": np.column_stack((log.tau + 40.0, gripper)),
     }
 
 

@@ -64,7 +64,8 @@ class ColumnFinder:
         """The quantity that is needed beside positions, "torque", "current" or "command"."""
         if self.choices.commanded:
             return "command"
-        has_currents = len(self._texts_of("current")) >= self.robot.n_joints
+        currents = [t for t in self.titles if t.likely_quantity == "current"]
+        has_currents = len(currents) >= self.robot.n_joints
         return "current" if self.choices.currents and has_currents else "torque"
 
     def _texts_of(self, quantity: str) -> list[str]:

@@ -7,9 +7,9 @@ joints, the numbers in its titles have to be exactly 0..n-1 or 1..n, or those of
 In a log that lists its joints, numbers stand for the names of the list. Where names and numbers
 give different columns, the quantity cannot be told, and a log that needs it is refused.
 
-Likely are columns with one title but for a number or a joint's name, of which a word beside others
-says what they are. A map of columns takes what is certain (``column_map``); where that is too
-little, what is likely is suggested (``suggestion``).
+Likely are columns with one title but for a number or a joint's name, of which a word beside others,
+also one of another language, or a unit says what they are. A map of columns takes what is certain
+(``column_map``); where that is too little, what is likely is suggested (``suggestion``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import chain
 from typing import Any
@@ -29,6 +29,8 @@ from robot_sysid.logs.joint_names import joint_note, match_joint_names, name_num
 from robot_sysid.logs.titles import Title, token_set
 from robot_sysid.records import RobotModel
 
+MOST_SPARE = 2
+"""Columns alike that a log may have beyond those of the arm's joints: those of a gripper."""
 # Tokens that mark a measurement; those of the first kind outrank those of the second.
 _MEASURED = (token_set("meas measured measurement msr"), token_set("actual act ist"))
 
@@ -57,12 +59,14 @@ class Match:
         columns: (n,) indices, base to terminal.
         text: what stands for them in a line of ``--columns``; "" where they need none.
         confidence: how sure the quantity is.
+        spare: indices of further columns alike, such as that of a gripper.
     """
 
     quantity: str | None
     columns: tuple[int, ...]
     text: str
     confidence: Confidence
+    spare: tuple[int, ...] = ()
 
 
 def is_certain(matches: Sequence[Match]) -> bool:
@@ -93,6 +97,32 @@ def match_alike(titles: Sequence[Title], joint_names: Sequence[str]) -> Iterator
             yield match_of_title(titles[columns[0]], columns, text)
 
 
+def match_with_spare(
+    titles: Sequence[Title], joint_names: Sequence[str]
+) -> Iterator[Match]:
+    """Yield the first of columns that differ by a number alone and are a few more than joints.
+
+    They are counted from 0 or 1; those of a gripper's fingers follow the arm's.
+    """
+    texts = [title.text for title in titles]
+    n_joints = len(joint_names)
+    alike: dict[str, list[tuple[int, int]]] = defaultdict(list)
+    for column, text in enumerate(texts):
+        for number in re.finditer(r"\d+", text):
+            pattern = f"{text[: number.start()]}*{text[number.end() :]}"
+            alike[pattern].append((int(number[0]), column))
+    for fits in alike.values():
+        numbers, columns = zip(*sorted(fits))
+        is_counted = numbers in (
+            tuple(range(len(fits))),
+            tuple(range(1, len(fits) + 1)),
+        )
+        if is_counted and 0 < len(fits) - n_joints <= MOST_SPARE:
+            arm_columns = columns[:n_joints]
+            match = match_of_title(titles[columns[0]], arm_columns, "")
+            yield replace(match, spare=columns[n_joints:])
+
+
 def _patterns(title: str, joint_names: Sequence[str]) -> list[str]:
     """Return a title with "*" for each of its numbers, or for a joint's name in it."""
     numbers = re.finditer(r"\d+", title)
@@ -114,7 +144,7 @@ def surest_matches(
 def measured_columns(titles: Sequence[Title], columns: Sequence[int]) -> Sequence[int]:
     """Return those of some columns (indices) that a word marks as measured; all where none does."""
     for marks in _MEASURED:
-        marked = [column for column in columns if marks & {*titles[column].tokens}]
+        marked = [k for k in columns if marks & {*titles[k].translated.tokens}]
         if marked:
             return marked
     return columns

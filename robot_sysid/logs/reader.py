@@ -28,7 +28,7 @@ from robot_sysid.logs.halves import join_halves
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.matching import UnrecognisedError
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.suggestion import suggest_columns
+from robot_sysid.logs.suggestion import shortened, suggest_columns
 from robot_sysid.logs.table import LogTable, as_input_errors
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
@@ -155,7 +155,7 @@ def _map_columns(finder: ColumnFinder) -> ColumnMap:
             suggestion = suggest_columns(finder)
         if suggestion is None:
             if not error.options:
-                titles = ", ".join(table.titles)
+                titles = ", ".join(shortened(table.titles, "more"))
                 fault += f"; {with_option_names(_REMEDY)}; {_HALF}. Columns: {titles}"
             raise InputError(fault, error.options, error.command) from None
     line = suggestion.line

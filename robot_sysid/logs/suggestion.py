@@ -20,10 +20,17 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import column_text
 from robot_sysid.logs.joint_names import are_opposite_sides, split_name
-from robot_sysid.logs.matching import Match, is_certain, match_alike, match_of_title
-from robot_sysid.logs.table import LogTable
+from robot_sysid.logs.matching import (
+    Match,
+    is_certain,
+    match_alike,
+    match_of_title,
+    match_with_spare,
+)
+from robot_sysid.logs.table import LARGEST_NUMBER, LogTable
 from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.messages import count_text
 from robot_sysid.signals.stamps import is_sampled_motion
 
 BLANK = "?"
@@ -48,6 +55,23 @@ WEIGHT_CORRELATION = 0.8
 CHANGE_CORRELATION = 0.5
 """Correlations with the arm's weight above which columns are its torques, and so are their changes,
 which friction is a larger part of."""
+MOST_DELAY = 200
+"""Rows by which measured positions may be later than commanded ones, at most a tenth of a log."""
+ALIKE_SHARE = 0.1
+"""Share of a motion by which measured positions deviate from commanded ones of that time, at most:
+servos sag, and lag behind."""
+DECISIVE_RATIO = 2.0
+"""Ratio of deviations, or of noise, from which on one of two positions is earlier, or smoother."""
+MOST_MOTIONS = 24
+"""Groups among which derivatives are looked for; more are no log of one arm's joints."""
+MOST_LISTED = 24
+"""Groups, and further columns, that a message lists."""
+DYNAMICS_CORRELATION = 0.8
+"""Correlation with the torque that the model needs, averaged over joints by what they carry, above
+which torques tell positions: of six arms it is 0.65 to 0.95 with positions, and at most 0.73 with
+velocities, accelerations, temperatures or other torques in their place."""
+SMOOTHED_TIME = 0.1
+"""Window that smooths positions before they are differentiated [s]."""
 # Cells of a first row that are numbers, times or empty, or nearly so.
 _NUMBER = re.compile(r"[-+\d.,:TZeE ]*|[-+]?(nan|inf)|null|none|n/?a", re.IGNORECASE)
 # Excess over a joint's range that a zero elsewhere may make (chosen).
@@ -156,12 +180,14 @@ def find_time(
         indices = [
             k
             for k in steady
-            if titles[k].quantity_beside_name == "time" or titles[k].unit in seconds
+            if titles[k].likely_quantity == "time" or titles[k].unit in seconds
         ]
         steps = np.diff(samples, axis=0)
         indices = indices or [k for k in steady if np.any(steps[:, k] != 1.0)]
+        if not indices:
+            return find_rate(evidence, suggestion, columns)
         if len(indices) != 1:
-            return clock, suggestion.declare("time" if indices else "rate", BLANK)
+            return clock, suggestion.declare("time", BLANK)
         text = column_text(finder.table.titles, indices[0])
         reason = f"{titles[indices[0]].text!r} increases steadily"
         suggestion = suggestion.declare("time", text, reason)
@@ -170,14 +196,46 @@ def find_time(
     if unit or not any(is_sampled_motion(evidence.numbers(m)) for m in evidence.groups):
         # Rows of postures have no rate.
         return clock, suggestion
-    # Of such rates, one unit of time at most makes one.
-    period = np.median(np.diff(clock))
-    periods = {unit: period * seconds[unit] for unit in TIME_UNITS}
-    shortest = 1.0 / HIGHEST_RATE
-    longest = 1.0 / LOWEST_RATE
-    units = [u for u, p in periods.items() if shortest <= p <= longest] or [BLANK]
-    suggestion = suggestion.measure(*(unit for unit in units if unit != "s"))
-    return clock * seconds.get(units[0], np.nan), suggestion
+    unit = plausible_unit(float(np.median(np.diff(clock)))) or BLANK
+    if unit != "s":
+        suggestion = suggestion.measure(unit)
+    return clock * seconds.get(unit, np.nan), suggestion
+
+
+def plausible_unit(period: float) -> str:
+    """Return the unit of time in which steps of such a size make the rate of a log; "" for none.
+
+    Of such rates, one unit at most makes one.
+    """
+    rates = {unit: 1.0 / (period * UNITS["time"][unit]) for unit in TIME_UNITS}
+    units = [u for u, rate in rates.items() if LOWEST_RATE <= rate <= HIGHEST_RATE]
+    return units[0] if units else ""
+
+
+def find_rate(
+    evidence: Evidence, suggestion: Suggestion, columns: Collection[int]
+) -> tuple[Array, Suggestion]:
+    """Return the times (N,) of a log without a column of the time [s], and the suggestion with its
+    rate: by a column of the steps of time, where it has one; else numbers of rows.
+
+    ``columns``: indices of those that could be it.
+    """
+    samples = evidence.samples
+    titles = evidence.finder.titles
+    clock = np.arange(len(samples), dtype=float)
+    steps = [
+        k for k in columns if titles[k].is_time_step and np.all(samples[:, k] > 0.0)
+    ]
+    if len(steps) != 1:
+        return clock, suggestion.declare("rate", BLANK)
+    title = titles[steps[0]]
+    period = float(np.mean(samples[:, steps[0]]))
+    unit = title.unit or evidence.finder.choices.time_unit or plausible_unit(period)
+    if unit not in UNITS["time"]:
+        return clock, suggestion.declare("rate", BLANK)
+    period *= UNITS["time"][unit]
+    reason = f"{title.text!r} is a step of {1e3 * period:.4g} ms"
+    return clock * period, suggestion.declare("rate", f"{1.0 / period:.6g}", reason)
 
 
 def find_motion(
@@ -199,7 +257,7 @@ def find_motion(
     suggestion = suggestion.declare("position", BLANK)
     motions = [
         m for m in evidence.groups if m.quantity in (None, "position", "velocity")
-    ]
+    ][:MOST_MOTIONS]
     # Columns and their derivatives to the ratio of these.
     ratios = {}
     for match, other in permutations(motions, 2):
@@ -211,6 +269,11 @@ def find_motion(
     if not candidates:
         integrals = {text for text, _ in ratios} - derived
         candidates = [m for m in motions if m.text in integrals]
+    if not candidates:
+        free = [m for m in motions if m.quantity is None and m.text not in derived]
+        candidates, suggestion = find_moved(evidence, suggestion, free, clock)
+    if len(candidates) == 2:
+        candidates, suggestion = find_measured(evidence, suggestion, candidates)
     if len(candidates) != 1:
         return None, suggestion
     position = candidates[0]
@@ -238,6 +301,83 @@ def find_motion(
     if stated:
         return samples * UNITS["position"].get(stated, 1.0), suggestion
     return find_units(finder, suggestion, samples)
+
+
+def find_measured(
+    evidence: Evidence, suggestion: Suggestion, candidates: list[Match]
+) -> tuple[list[Match], Suggestion]:
+    """Return the one of two positions that was measured, or both; and the suggestion with how it
+    was told.
+
+    The commanded ones come earlier, or are smoother; where these contradict each other, or neither
+    is so, nothing is told.
+    """
+    first, second = map(evidence.numbers, candidates)
+    squares = np.sum(np.diff(first, axis=0) ** 2, axis=0)
+    moving = squares > MOVING_SHARE * np.max(squares)
+    first = first[:, moving] - np.mean(first[:, moving], axis=0)
+    second = second[:, moving] - np.mean(second[:, moving], axis=0)
+    most = min(MOST_DELAY, len(first) // 10)
+    inner = first[most : len(first) - most]
+    # By how much the second ones deviate if they are later by each number of rows.
+    deviations = [
+        np.linalg.norm(inner - second[k : k + len(inner)]) for k in range(2 * most + 1)
+    ]
+    least = min(deviations)
+    delay = deviations.index(least) - most
+    if not least < ALIKE_SHARE * np.linalg.norm(inner):
+        return candidates, suggestion
+    # Fifth differences of a motion are small beside those of noise.
+    noises = [np.linalg.norm(np.diff(q, 5, axis=0)) for q in (first, second)]
+    is_earlier = least * DECISIVE_RATIO < deviations[most]
+    # Positive where the first of the two is the commanded one.
+    order = int(np.sign(delay)) if is_earlier else 0
+    smoothness = 0
+    if max(noises) > DECISIVE_RATIO * min(noises):
+        smoothness = int(np.sign(noises[1] - noises[0]))
+    if order * smoothness < 0 or not (order or smoothness):
+        return candidates, suggestion
+    commanded, measured = candidates
+    if order + smoothness < 0:
+        commanded, measured = measured, commanded
+    how = f"{count_text(abs(delay), 'row')} earlier" if order else "smoother"
+    reason = f"{commanded.text} are the commanded positions of {measured.text}, as they are {how}"
+    return [measured], suggestion.explain(reason)
+
+
+def find_moved(
+    evidence: Evidence, suggestion: Suggestion, motions: Sequence[Match], clock: Array
+) -> tuple[list[Match], Suggestion]:
+    """Return the groups of which the log's torques move the model if they are positions, and the
+    suggestion with how they were told.
+
+    Args:
+        evidence: what the log shows.
+        suggestion: as far as it is known.
+        motions: groups that no title and no derivative tells.
+        clock: (N,) times [s].
+    """
+    finder = evidence.finder
+    groups = evidence.groups
+    torques = [m for m in groups if m.quantity in ("torque", "current")]
+    loads = [*map(evidence.numbers, torques)]
+    certain = finder.recognise("torque")
+    if certain:
+        loads = [evidence.samples[:, [column.index for column in certain]]]
+    moved = []
+    for match in motions:
+        unit = evidence.unit(match)
+        if unit and unit not in UNITS["position"]:
+            continue
+        q, _ = find_units(finder, suggestion, evidence.numbers(match))
+        if q is None:
+            continue
+        if any(_moves_model(finder.robot, q, tau, clock) for tau in loads):
+            moved.append(match)
+    if len(moved) == 1:
+        reason = f"torques are those that move the model by {moved[0].text}"
+        suggestion = suggestion.explain(reason)
+    return moved, suggestion
 
 
 def find_units(
@@ -320,6 +460,13 @@ def find_driven(
     )
 
 
+def shortened(texts: Sequence[str], noun: str) -> list[str]:
+    """Return texts, or the first of many and the number of the others."""
+    if len(texts) <= MOST_LISTED:
+        return [*texts]
+    return [*texts[:MOST_LISTED], f"{len(texts) - MOST_LISTED} {noun}"]
+
+
 def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     """Return the declarations that a log lacks, behind those that were given; None where no columns
     are a group.
@@ -332,13 +479,52 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     titles = finder.table.titles
     grouped = {*chain.from_iterable(group.columns for group in groups)}
     others = [k for k in range(len(titles)) if k not in grouped]
-    listed = ", ".join([*map(evidence.describe, groups), *(titles[k] for k in others)])
+    listed = ", ".join(
+        [
+            *shortened([*map(evidence.describe, groups)], "more groups"),
+            *shortened([titles[k] for k in others], "more columns"),
+        ]
+    )
     entries = finder.choices.entries
     units = tuple(filter(None, [entries.get("units")]))
     suggestion = Suggestion(entries, units, (f"its columns are {listed}",))
     clock, suggestion = find_time(evidence, suggestion, others)
     position, suggestion = find_motion(evidence, suggestion, clock)
-    return find_driven(evidence, suggestion, position)
+    suggestion = find_driven(evidence, suggestion, position)
+    return require_weight(evidence, suggestion, position)
+
+
+def require_weight(
+    evidence: Evidence, suggestion: Suggestion, position: Array | None
+) -> Suggestion:
+    """Return the suggestion with blanks for columns that others of a gripper follow, unless the
+    torques of those that are taken for the arm's follow its weight.
+
+    ``position``: (N, n) in SI units; None for unknown ones.
+    """
+    taken = {
+        key: match
+        for match in evidence.groups
+        for key, value in suggestion.entries.items()
+        if value == match.text
+    }
+    with_spare = [key for key, match in taken.items() if match.spare]
+    if not with_spare:
+        return suggestion
+    finder = evidence.finder
+    spare = [finder.table.titles[k] for key in with_spare for k in taken[key].spare]
+    certain = [column.index for column in finder.recognise("torque")]
+    columns = taken["torque"].columns if "torque" in taken else certain
+    if position is not None and columns:
+        tau = evidence.samples[:, [*columns]]
+        if _follows_weight(finder.robot, position, tau):
+            reason = (
+                f"{', '.join(spare)} are left over, as of a gripper, and torques follow the "
+                "arm's weight"
+            )
+            return suggestion.explain(reason)
+    blanks = dict.fromkeys(with_spare, BLANK)
+    return replace(suggestion, entries={**suggestion.entries, **blanks})
 
 
 def _read_samples(table: LogTable) -> Array:
@@ -363,7 +549,7 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Match]:
     """Yield the groups of columns of numbers, from left to right.
 
     Columns of the other arm of two are none, nor are constants, which no sensor of a moving arm
-    reads at all joints.
+    reads at all joints, nor what holds numbers that no sensor reads.
     """
     texts = finder.table.titles
     names = finder.robot.joint_names
@@ -372,13 +558,17 @@ def _find_groups(finder: ColumnFinder, samples: Array) -> Iterator[Match]:
     if len(names) == 1 or all(text == f"#{k}" for k, text in enumerate(texts, 1)):
         matches = _runs(finder, samples, numbers)
     else:
-        matches = match_alike(finder.titles, names)
+        matches = chain(
+            match_alike(finder.titles, names), match_with_spare(finder.titles, names)
+        )
     for match in sorted(matches, key=lambda match: match.columns):
         if not {*match.columns} <= {*numbers}:
             continue
         title = texts[match.columns[0]]
         is_other_arm = are_opposite_sides({*split_name(title)}, own_pieces)
-        if np.ptp(samples[:, [*match.columns]], axis=0).any() and not is_other_arm:
+        columns = samples[:, [*match.columns]]
+        is_possible = np.abs(columns).max() < LARGEST_NUMBER
+        if np.ptp(columns, axis=0).any() and is_possible and not is_other_arm:
             listed = ", ".join(column_text(texts, k) for k in match.columns)
             yield replace(match, text=match.text or listed)
 
@@ -443,6 +633,34 @@ def _follows_weight(robot: RobotModel, q: Array, tau: Array) -> bool:
         _correlation(weight, tau) > WEIGHT_CORRELATION
         and _correlation(*changes) > CHANGE_CORRELATION
     )
+
+
+def _moves_model(robot: RobotModel, q: Array, tau: Array, clock: Array) -> bool:
+    """Return whether columns (N, n) are nearly the torque that moves the model, or its opposite,
+    but for a factor and a constant of each joint.
+
+    ``clock``: (N,) [s].
+    """
+    from scipy.signal import savgol_filter
+
+    step = float(np.median(np.diff(clock)))
+    if not 1.0 / HIGHEST_RATE <= step <= 1.0 / LOWEST_RATE:
+        return False
+    # A polynomial of third order takes at least five.
+    window = max(5, 2 * round(0.5 * SMOOTHED_TIME / step) + 1)
+    if len(q) < window:
+        return False
+    rows = np.linspace(0, len(q) - 1, 500).astype(int)
+    smooth = [
+        savgol_filter(q, window, 3, deriv=k, delta=step, axis=0)[rows] for k in range(3)
+    ]
+    expected = ArmDynamics(robot).torque(*smooth)
+    changes = expected - np.mean(expected, axis=0)
+    found = savgol_filter(tau, window, 3, axis=0)[rows]
+    found -= np.mean(found, axis=0)
+    correlations = [*map(_correlation, changes.T, found.T)]
+    sizes = np.linalg.norm(changes, axis=0)
+    return float(np.average(correlations, weights=sizes)) > DYNAMICS_CORRELATION
 
 
 def _correlation(expected: Array, found: Array) -> float:

@@ -6,15 +6,16 @@ with a foreign token (``joint1_position_std``, ``q1_filtered``) does not stand f
 quantity.
 
 A title says what it stands for at two confidences: ``joint_quantity`` is certain, and
-``likely_quantity`` goes by single words beside others. ``matching`` finds the columns of all joints
-at either.
+``likely_quantity`` goes by single words beside others, by words of other languages, and where no
+word says it by the unit. ``matching`` finds the columns of all joints at either.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -65,6 +66,10 @@ _NEUTRAL = token_set(
 )
 # Tokens of a motor's current; "current" may mean "present" as well.
 _CURRENT = token_set("current currents")
+# Tokens of the time from row to row.
+_STEPS = token_set(
+    "dt step steps period interval cycle takt zyklus zykluszeit 周期 間隔"
+)
 # Tokens of an encoder's counts, which are positions.
 _COUNTS = token_set("ticks counts encoder enc")
 # Sequences of tokens to the single token that they stand for; Unitree calls its torque tauEst.
@@ -75,6 +80,58 @@ _JOINED = {
     " dot q ": " qd ",
     " ddot q ": " qdd ",
 }
+
+# Words of other languages, without accents, to the English ones that they stand for. They make a
+# title likely, never certain. German, Chinese and Japanese run them together.
+_TRANSLATIONS = by_token(
+    {
+        "time": "zeit zeitstempel uhrzeit tiempo temps tempo 时间 时间戳 时刻 時間 時刻",
+        "position": "winkel drehwinkel lage stellung posicion angulo posizione angolo posicao "
+        "角 角度 转角 轉角 角位置 位置",
+        "velocity": "geschwindigkeit winkelgeschwindigkeit drehzahl velocidad velocita velocidade "
+        "vitesse 速度 角速度 转速 轉速",
+        "acceleration": "beschleunigung winkelbeschleunigung aceleracion accelerazione aceleracao "
+        "加速度 角加速度",
+        "torque": "drehmoment momenten par esfuerzo momento couple coppia 力矩 扭矩 转矩 轉矩 扭力 "
+        "トルク",
+        "current": "strom corriente courant corrente 电流 電流",
+        "target": "sollwert sollwerte consigna deseada deseado comandada comandado consigne cible "
+        "riferimento desiderata desiderato comandata referencia 目标 目標 指令 期望 给定 设定 参考 "
+        "命令 规划",
+        "ff": "vorsteuer vorsteuerung 前馈",
+        "measured": "istwert istwerte gemessen gemessene gemessener gemessenes real reel reelle "
+        "mesure mesuree medida medido misurata misurato 实际 实测 测量 反馈 当前 當前 實際 "
+        "実測 実際 計測 測定 現在",
+        "model": "modell berechnet berechnetes modelo modele modello calculado teorico theorique "
+        "理论 模型 计算 理論 計算",
+        "external": "extern externes externo esterno externe externa esterna 外 外部",
+        "gravity": "schwerkraft gewichts gravitations gravedad gravite gravita 重力",
+        "friction": "reib reibung reibungs friccion frottement attrito 摩擦 摩擦力",
+        "error": "fehler abweichung differenz schlepp schleppfehler schleppabstand "
+        "positionsfehler erreur errore ecart desviacion 误差 偏差 誤差",
+        "temperature": "temperatur temperatura 温度 溫度",
+        "voltage": "spannung voltaje tensione 电压 電圧 電壓",
+        "joint": "gelenk gelenks achs achse achsen antrieb antriebs eje axe giunto asse junta "
+        "articulacion articulation 关节 關節 関節 轴 軸 电机 電機 马达 馬達 モータ モーター "
+        "机器人 机械臂 传感器 编码器 输出 值",
+    }
+)
+# Words of the vocabulary that are German, too.
+_GERMAN = {"soll", "ist", "motor", "moment", "position"}
+
+
+def _any_word(words: Iterable[str]) -> re.Pattern[str]:
+    """Return a pattern of any of the words, the longest that fits."""
+    longest_first = sorted(words, key=len, reverse=True)
+    return re.compile("|".join(longest_first))
+
+
+_TRANSLATED = _any_word({*_TRANSLATIONS, *_GERMAN})
+# Tokens of what is no position, velocity, torque or current itself, whatever stands beside.
+_OTHER = token_set(
+    "error errors err std stddev stdev variance cov residual residuals diff difference noise "
+    "temperature temperatures temp voltage voltages status"
+)
 
 DEGREE = math.pi / 180
 TIME_UNITS = ("s", "ms", "us", "ns")
@@ -112,19 +169,46 @@ UNITS = {
         }
     ),
     "torque": by_token({1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"}),
-    "current": by_token({1.0: "a amp amps ampere amperes"}),
+    "current": by_token({1.0: "a amp amps ampere amperes", 1e-3: "ma"}),
 }
 """Quantity to unit, in letters and digits alone ("degs" for deg/s), to its value in SI units."""
 # Tokens of a title that are a unit, or a part of one.
 _UNIT_TOKENS = token_set(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
-    "degs degree degrees ° cdeg centideg centidegrees mrad dps rpm mm nm mnm ncm knm s2"
+    "degs degree degrees ° cdeg centideg centidegrees mrad dps rpm mm nm mnm ncm knm ma s2"
 )
+# Units that no other quantity has, to the quantity.
+_QUANTITY_OF_UNIT = by_token(
+    {
+        "position": "rad rads radians mrad deg degree degrees °",
+        "velocity": "radsec rads1 degs dps degsec °s mrads rpm",
+        "torque": "nm mnm ncm knm",
+        "current": "a amp amps ampere amperes ma",
+    }
+)
+# Units in brackets as other languages write them.
+_UNIT_WORDS = by_token(
+    {
+        "deg": "grad grados grado gradi degres degre graus 度",
+        "rad": "radianes radianti radiant 弧度 ラジアン",
+        "ms": "毫秒 ミリ秒 millisekunden milisegundos",
+        "us": "微秒",
+        "s": "秒 sek sekunden segundos secondes secondi",
+        "ma": "毫安",
+        "a": "安 安培",
+        "nm": "牛米 牛·米 牛顿米",
+    }
+)
+_UNIT_WORD = _any_word(_UNIT_WORDS)
 # Text in round, square or curly brackets.
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 
 # A joint in brackets: its number, such as 3, A3 or axis_3.
-_INDEX = re.compile(r"[a-zA-Z]*[ _]?\d+")
+_INDEX = re.compile(r"[^\W\d_]*[ _]?\d+")
+# Units with a capital letter, which is not the first one of a word.
+_UNIT_OF_CAPITALS = re.compile(r"(?<![a-zA-Z])([mk]?N[.·⋅]?m|mA)(?![a-zA-Z])")
+# Brackets of East Asian fonts to those of others.
+_NARROW = str.maketrans("（）［］｛｝", "()[]{}")
 # A title with any other token does not stand for a quantity.
 _VOCABULARY = {*QUANTITY_OF_TOKEN, *_NEUTRAL, *_COMMANDED}
 
@@ -205,13 +289,44 @@ class Title:
         return min(named) if len(named) == 1 else None
 
     @property
+    def is_time_step(self) -> bool:
+        """Whether a word says that it is the time from row to row."""
+        return not _STEPS.isdisjoint(self.tokens)
+
+    @property
+    def translated(self) -> Title:
+        """The title with English words for those of other languages."""
+        tokens: list[str] = []
+        for token in self.tokens:
+            words = _TRANSLATED.findall(token)
+            # A word of which a part is foreign is none.
+            parts = words if "".join(words) == token else [token]
+            tokens += [_TRANSLATIONS.get(part, part) for part in parts]
+        return replace(self, tokens=tuple(tokens))
+
+    @property
     def likely_quantity(self) -> str | None:
-        """What it names beside other words: a quantity, or how a torque was not measured."""
-        if not _COUNTS.isdisjoint(self.tokens):
+        """What it names beside other words: a quantity, how a torque was not measured, or "other"
+        for something else, such as the error of a position.
+
+        Where no word says it, a unit does that no other quantity has; a unit of currents outranks
+        the word of a torque.
+        """
+        title = self.translated
+        if not _OTHER.isdisjoint(title.tokens):
+            return "other"
+        if not _COUNTS.isdisjoint(title.tokens):
             return "position"
-        kind = self.torque_kind
-        is_other = kind in ("commanded", "computed")
-        return kind if is_other else self.quantity_beside_name
+        kind = title.torque_kind
+        if kind in ("commanded", "computed"):
+            return kind
+        named = title.quantity_beside_name
+        measured = _QUANTITY_OF_UNIT.get(self.unit)
+        if measured == "current" and named in (None, "torque"):
+            return measured
+        # A word of a command, or of several quantities, says what the unit alone would not.
+        is_silent = named is None and not title.is_commanded
+        return measured if is_silent else named
 
 
 def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
@@ -221,7 +336,7 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
     matched and ``arm_1`` is told from ``arm-1``. The longest name whose remainder is a quantity is
     left out.
     """
-    stripped = text.strip()
+    stripped = text.strip().translate(_NARROW)
     for name in sorted(joint_names, key=len, reverse=True):
         form = re.escape(name)
         match = re.fullmatch(rf"(?s){form}([\W_].*)|(.*[\W_]){form}", stripped)
@@ -235,7 +350,9 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
         # What ends in a number is a joint's.
         index = _INDEX.fullmatch(content.strip())
         if not index:
-            unit = re.sub(r"[^a-z0-9°µ]", "", content.lower().replace("μ", "µ"))
+            plain = _without_accents(content.lower().replace("μ", "µ"))
+            english = _UNIT_WORD.sub(lambda word: _UNIT_WORDS[word[0]], plain)
+            unit = re.sub(r"[^a-z0-9°µ]", "", english)
         unitless = _BRACKETS.sub(f" {index[0]} " if index else " ", unitless, count=1)
     numbers = []
     phrase = " "
@@ -256,8 +373,16 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
 
 def _pieces(text: str) -> list[str]:
     """Return the runs of letters, in lower case, and of digits; camelCase is two runs, Nm one."""
-    with_units = re.sub(r"(?<![a-zA-Z])[mk]?Nm(?![a-z])", lambda m: m[0].lower(), text)
-    return re.findall(r"[a-zA-Z°µ]+|\d+", split_camel_case(with_units).lower())
+    with_units = _UNIT_OF_CAPITALS.sub(lambda m: re.sub(r"\W", "", m[0]).lower(), text)
+    plain = _without_accents(split_camel_case(with_units).lower())
+    return re.findall(r"(?:[^\W\d_]|°)+|\d+", plain)
+
+
+def _without_accents(text: str) -> str:
+    """Return a text in small letters without the accents of Latin ones."""
+    apart = unicodedata.normalize("NFD", text)
+    plain = re.sub(r"(?<=[a-z])[\u0300-\u036f]+", "", apart)
+    return unicodedata.normalize("NFC", plain)
 
 
 def _words_beside_quantity(unitless: str) -> str:
