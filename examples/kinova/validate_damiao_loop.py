@@ -1,4 +1,4 @@
-"""The whole loop on Damiao motors, without hardware: export, play, record, identify, compare.
+"""The whole loop on Damiao motors, without hardware: plan, play, record, identify, compare.
 
 The arm on the other side is the truth of this example, moved by seven simulated motors that pack
 their measurements into 12 and 16 bits as real ones do, on a simulated CAN bus. The engineer's model
@@ -35,8 +35,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model = known_links_guessed_tool(folder)
-        print("1. export: robot-sysid MODEL --export-damiao --motor-type ...")
-        trajectory = exported_trajectory(model, folder)
+        print("1. plan: robot-sysid plan MODEL --export-damiao --motor-type ...")
+        trajectory = planned_trajectory(model, folder)
         print(
             "2. play and record: robot-sysid motors simulate ... --record measured.csv"
         )
@@ -81,12 +81,12 @@ def succeeding(*arguments: object) -> str:
     return output
 
 
-def exported_trajectory(model: Path, folder: Path, duration: float = DURATION) -> Path:
-    """Export the excitation trajectory; return its path."""
+def planned_trajectory(model: Path, folder: Path) -> Path:
+    """Design a motion, which shows the link ten times better than random sines; return its path."""
     types = [word for motor in MOTORS for word in ("--motor-type", motor)]
-    options = ("--duration", duration, "--seed", 0, "--output-dir", folder / "export")
-    succeeding(model, *options, "--export-damiao", *types)
-    return folder / "export" / "damiao_trajectory.csv"
+    options = ("--duration", DURATION, "--seed", 0, "--output-dir", folder / "planned")
+    succeeding("plan", model, *options, "--export-damiao", *types)
+    return folder / "planned" / "damiao_trajectory.csv"
 
 
 def play_and_record(trajectory: Path, record: Path) -> None:

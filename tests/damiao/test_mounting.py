@@ -101,7 +101,7 @@ def test_an_arm_is_lowered_until_nothing_pulls(standing_rig, cause):
 
 @pytest.mark.slow
 def test_the_recording_of_the_example_gives_the_true_link_back(monkeypatch):
-    """Export, play, record, identify: the whole loop."""
+    """Plan, play, record, identify: the whole loop."""
     monkeypatch.syspath_prepend(str(EXAMPLE))
     assert importlib.import_module("validate_damiao_loop").main() == 0
 
