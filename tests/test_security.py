@@ -50,6 +50,8 @@ HELD = {
     "so in the report": "report/test_page.py::test_a_page_has_no_control_characters",
     "and in cards": "results/test_cards.py::"
     "test_the_name_of_a_frame_begins_no_line_of_a_card",
+    "texts of a params.json": "report/test_page.py::"
+    "test_no_text_of_a_result_becomes_a_command_or_a_file_of_another_folder",
     "names with HTML": "report/test_page.py::"
     "test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere",
     "a xacro, which": "mjcf/test_xacro_files.py::test_a_strangers_xacro_does_no_harm",

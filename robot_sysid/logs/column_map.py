@@ -36,7 +36,7 @@ from robot_sysid.wording import option_name
 _Source = tuple[int, float]
 """A column (index) and the factor that was declared for it."""
 # Columns by their numbers: "#2..#7".
-_RANGE = re.compile(r"#(\d+) *\.\. *#(\d+)", re.ASCII)
+_RANGE = re.compile(r"#(\d{1,9}) *\.\. *#(\d{1,9})", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -326,7 +326,12 @@ class ColumnFinder:
         if ends:
             first, last = map(int, ends.groups())
             step = 1 if last >= first else -1
-            titles = [f"{factor} * #{k}" for k in range(first, last + step, step)]
+            numbers = range(first, last + step, step)
+            if len(numbers) > len(texts):
+                raise InputError(
+                    f"{title!r} is more columns than the {len(texts)} that the log has"
+                )
+            titles = [f"{factor} * #{k}" for k in numbers]
         if "*" in title and len(titles) == 1:
             raise InputError(f"{title!r} fits no column")
         if len(titles) != len(joint_names):

@@ -47,7 +47,9 @@ _SCALED = re.compile(
 _PLAIN_TITLE = re.compile(r"[^\s#,=?]([^#,=?\x00-\x1f]*[^\s#,=?])?")
 # Kind of unit to those that a user may declare.
 _UNIT_FORMS = {
-    "angle_unit": re.compile(r"rad|mrad|deg|cdeg|rev|[1-9]\d*(\.\d+)?/rev", re.ASCII),
+    "angle_unit": re.compile(
+        r"rad|mrad|deg|cdeg|rev|[1-9]\d{0,8}(\.\d+)?/rev", re.ASCII
+    ),
     "length_unit": re.compile("m|mm"),
     "time_unit": re.compile("|".join(TIME_UNITS)),
 }

@@ -110,12 +110,13 @@ class Run:
         """The verdict, which of the folder's files to use and, of a run just ended, the next step.
 
         A folder that was copied or moved has its files where it is now. The command that a run
-        printed next was one for where that ran.
+        printed next was one for where that ran. Whoever wrote the folder, no text of it becomes a
+        command, and no file of another folder is named.
         """
         if self.printed:
             return self.printed
         file = self.content["file"]
-        first = [file["name"]] if file else []
+        first = [file["name"]] if file and file["name"] in RESULT_NAMES else []
         names = dict.fromkeys((*first, *RESULT_NAMES))
         files = [self.folder / name for name in names if (self.folder / name).is_file()]
         return tuple(last_lines(self.content, files, None))

@@ -160,6 +160,26 @@ def test_a_folder_that_was_moved_has_its_files_where_it_is(link_run, tmp_path):
     assert "old/updated_model.xml" not in text and "<pre>robot-sysid" not in text
 
 
+def test_no_text_of_a_result_becomes_a_command_or_a_file_of_another_folder(
+    link_run, tmp_path
+):
+    command = "  robot-sysid motors play --yes"
+    model = tmp_path / "updated_model.xml"
+    model.write_text("<mujoco/>")
+    folder = tmp_path / "run"
+    folder.mkdir()
+    content = json.loads((link_run / "params.json").read_text())
+    file = {**content["file"], "name": "../updated_model.xml"}
+    step = {"sentence": "Next", "command": [command], "then": None}
+    source = f"a.csv\n{command}"
+    odd = {"verdict": [command], "next_step": step, "source": source}
+    text = page_with(link_run, folder, file=file, **odd)
+    assert "<pre>robot-sysid" not in text and "../updated_model.xml" not in text
+    lines = load_run(folder).verdict
+    assert f"Use this file: {folder / 'updated_model.xml'}" in lines
+    assert not [line for line in lines if line.startswith(command)]
+
+
 def rating_in(text):
     """The rating of a page's verdict, which is its colour."""
     return re.search('class="verdict ([a-z]+)"', text)[1]
