@@ -21,7 +21,7 @@ from robot_sysid.records import RobotModel, file_access
 from robot_sysid.records.controllers import ALL
 from robot_sysid.records.messages import Level, NextStep, Progress, says
 from robot_sysid.records.option_fields import write_torque_scale
-from robot_sysid.records.quantities import CURVED
+from robot_sysid.records.quantities import CURVED, Quantity
 from robot_sysid.results.cards import card_text, number_groups, simulator_card
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
@@ -125,7 +125,9 @@ def save(
                 card = number_groups(payload)
                 text = card_text(payload, card, result.robot, options.cards)
                 files.write(written[-1], text)
-            written += write_simulator_cards(config, result.robot, files, written)
+            written += write_simulator_cards(
+                config, result.robot, files, written, result.quantities
+            )
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
             written += motor_paths
@@ -219,6 +221,7 @@ def write_simulator_cards(
     robot: RobotModel,
     files: file_access.AtomicFiles,
     written: Collection[Path],
+    quantities: Sequence[Quantity] = (),
 ) -> list[Path]:
     """Write the cards that the options ask for, of the first written model; return their paths.
 
@@ -227,6 +230,7 @@ def write_simulator_cards(
         robot: the arm as in the original model.
         files: holds the draft of the model.
         written: paths of the written files; without a model there is no card.
+        quantities: rows of the result; none where its links are the model's.
     """
     models = file_access.models_in(written)
     if not isinstance(config, IdentifyConfig) or not config.cards.cards or not models:
@@ -239,7 +243,9 @@ def write_simulator_cards(
     for simulator, name in file_access.SIMULATOR_CARD_NAMES.items():
         if config.cards.cards in (simulator, ALL):
             paths.append(model.with_name(name))
-            text = simulator_card(simulator, robot, arm, model.name, curved_name)
+            text = simulator_card(
+                simulator, robot, arm, model.name, curved_name, quantities
+            )
             files.write(paths[-1], text)
     return paths
 

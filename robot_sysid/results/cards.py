@@ -25,7 +25,13 @@ from robot_sysid.records import Array, InertialParameters, RobotModel
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS, makers_of
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import printable, with_error
-from robot_sysid.records.quantities import BodyEstimate, load_errors, principal_moments
+from robot_sysid.records.quantities import (
+    DATA,
+    BodyEstimate,
+    Quantity,
+    load_errors,
+    principal_moments,
+)
 from robot_sysid.results.record import Payload
 
 # Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
@@ -45,6 +51,12 @@ CONTROLLER_ROUNDING = 1e-6
 """Share of the sum of principal moments that a controller does not keep."""
 UNKNOWN_DIGITS = 1
 """Number of significant digits of a number that the data does not determine: a stand-in."""
+MOMENTS = ("Ixx_about_com", "Iyy_about_com", "Izz_about_com")
+"""Names of the rows of a link's moments of inertia about its centre of mass."""
+UNCHANGED = "as in the model before"
+"""Comment of a body whose numbers an identification left alone."""
+NOT_SHOWN = "the logs do not show its inertia"
+"""Comment of a body whose inertia is the model's, or only keeps the body possible."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
 
@@ -93,6 +105,7 @@ def simulator_card(
     written: RobotModel,
     model_name: str,
     curved: str = "",
+    quantities: Sequence[Quantity] = (),
 ) -> str:
     """Return the numbers of a written model as Python text that a simulator loads.
 
@@ -102,11 +115,13 @@ def simulator_card(
         written: the same arm as in the written model.
         model_name: name of the file of the written model.
         curved: name of the file whose friction bends with speed; "" where there is none.
+        quantities: rows of the result, which say what each inertia comes from.
     """
+    not_shown = _links_without_inertia(quantities)
     original = {body.name: body.theta for link in robot.links for body in link.bodies}
     bodies = {}
     merged = {}
-    unchanged = []
+    sources = {}
     for link in written.links:
         # What hangs on joints of its own, such as fingers, is not identified.
         parts = [
@@ -118,7 +133,9 @@ def simulator_card(
             theta = body_theta(written.mj_model, body.body_id)
             bodies[body.name] = _exact_numbers(theta)
             if np.allclose(body.theta, original[body.name], 1e-9, 1e-12):
-                unchanged.append(body.name)
+                sources[body.name] = UNCHANGED
+            elif link.body_name in not_shown:
+                sources[body.name] = NOT_SHOWN
         if len(parts) > 1:
             others = [body.name for body in parts[1:]]
             merged[parts[0].name] = others, _exact_numbers(sum_theta(parts))
@@ -137,13 +154,26 @@ def simulator_card(
         file=model_name,
         curved=curved,
         bodies=bodies,
-        unchanged=unchanged,
+        sources=sources,
         merged=merged,
         joints=joints,
         gravity=tuple(map(_exact, written.mj_model.opt.gravity)),
         has_shared_motors=bool(shared_motors(written.mj_model, written.dof_index)),
         has_nameless=any(name.startswith("#") for name in (*bodies, *joints)),
     )
+
+
+def _links_without_inertia(quantities: Sequence[Quantity]) -> set[str]:
+    """Return the names of links of which no moment of inertia follows from the data.
+
+    One does where the data says more of it than the model, and it exceeds ``SURE`` errors.
+    """
+    moments = [row for row in quantities if row.name in MOMENTS]
+    shown = set()
+    for row in moments:
+        if row.source == DATA and row.value > SURE * (row.error or 0.0):
+            shown.add(row.of)
+    return {row.of for row in moments} - shown
 
 
 def _exact_numbers(theta: Array) -> dict[str, Any]:

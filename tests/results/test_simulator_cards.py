@@ -25,6 +25,7 @@ from robot_sysid.model.bodies import body_theta
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS
 from robot_sysid.records.file_access import SIMULATOR_CARD_NAMES
+from robot_sysid.records.quantities import DATA, MODEL, Quantity
 from robot_sysid.results import cards
 from tests.results.test_written_model import checkpoints, file_of, result_of
 
@@ -153,6 +154,20 @@ def test_what_is_the_models_own_is_marked(output):
     marked = [line for line in lines if line.endswith("# as in the model before")]
     # The link of the tool changed, by its first body.
     assert [line.split("'")[1] for line in marked] == ["upper arm", "tool"]
+
+
+def test_an_inertia_that_the_logs_do_not_show_is_marked(robot, output):
+    """One that is the model's, and one within three errors of zero."""
+    written = load_robot_model(output / "updated_model.xml")
+    rows = [
+        Quantity("Ixx_about_com", "upper arm", "kg·m²", 0.02, 0.03, 0.001, MODEL),
+        Quantity("Ixx_about_com", "fore", "kg·m²", 0.02, 0.03, 0.001, DATA),
+        Quantity("Izz_about_com", "fore", "kg·m²", 0.02, 0.03, 0.02, DATA),
+        Quantity("Ixx_about_com", "hand", "kg·m²", None, 0.03, 0.02, DATA),
+    ]
+    text = cards.simulator_card("drake", robot, written, "m.xml", quantities=rows)
+    marked = [line for line in text.splitlines() if line.endswith(cards.NOT_SHOWN)]
+    assert [line.split("'")[1] for line in marked] == ["hand"]
 
 
 def test_only_the_card_of_the_choice_is_written_and_an_earlier_one_goes(
