@@ -243,7 +243,7 @@ def argument_settings(option: options.Option) -> dict[str, Any]:
     elif option.takes_many:
         settings["nargs"] = "+"
     if option.repeats:
-        settings["action"] = "append"
+        settings["action"] = "extend" if option.takes_many else "append"
     return settings
 
 

@@ -86,7 +86,8 @@ class FittedLogOptions(LogOptions):
     )
     validation_measurements: tuple[Path, ...] = option(
         (),
-        "another log, which only tests the result; may be repeated, as for a pair of files",
+        "another log, which only tests the result; its positions and torques may be two files",
         "LOG",
         repeats=True,
+        takes_many=True,
     )

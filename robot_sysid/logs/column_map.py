@@ -35,6 +35,11 @@ from robot_sysid.wording import option_name
 
 _Source = tuple[int, float]
 """A column (index) and the factor that was declared for it."""
+# What people write in the place of "*": "motor_state[i].q", "avp[1..4]", "JOINT/position".
+_JOINT_FORM = re.compile(
+    r"(?<=\[)([ijkn]|\d+ *(\.\.|-|:) *\d+)(?=\])|\{(joint|name|i)\}|(?<![a-zA-Z])JOINT(?![a-zA-Z])",
+    re.ASCII,
+)
 # Columns by their numbers: "#2..#7".
 _RANGE = re.compile(r"#(\d{1,9}) *\.\. *#(\d{1,9})", re.ASCII)
 
@@ -87,12 +92,23 @@ class ColumnFinder:
             # Of single joints, only the torque may be missing.
             if value == "none" and (not joint or key in ("torque", self.driven)):
                 declared.update(dict.fromkeys([joint] if joint else joint_names))
+            elif key == "position" and joint in self._standing:
+                declared[joint] = None
             elif joint:
                 declared[joint] = self._look_up(value)
             else:
-                sources, note = self._look_up_all(value)
-                declared.update(zip(joint_names, sources))
+                names, sources, note = self._look_up_all(value)
+                declared.update(
+                    {k: v for k, v in zip(names, sources) if k not in declared}
+                )
         return declared, note
+
+    @property
+    def _standing(self) -> Mapping[str, float]:
+        """Joint to where it stands still, in the log's unit, of those that have no column."""
+        texts = self.choices.of("position")
+        places = self.choices.standing.items()
+        return {j: place for j, place in places if texts[j] not in self.table.titles}
 
     @cached_property
     def _zeros(self) -> Array:
@@ -114,8 +130,18 @@ class ColumnFinder:
         declared = self.choices.of("position")
         has_names = "" not in declared and len(declared) < self.robot.n_joints
         return match_joints(
-            self.titles, self.robot, self.table.first_row, self._quantities, has_names
+            self.titles,
+            self.robot,
+            self.table.first_row,
+            self._quantities,
+            has_names,
+            self._standing,
         )
+
+    def declaring(self, key: str, value: str) -> ColumnFinder:
+        """Return a finder of the same columns with a declaration more."""
+        entries = {**self.choices.entries, key: value}
+        return replace(self, choices=replace(self.choices, entries=entries))
 
     def recognise(self, quantity: str) -> tuple[Column, ...]:
         """Return the columns of a quantity, or of the time, as they are found; () for none."""
@@ -187,6 +213,36 @@ class ColumnFinder:
             notes=tuple(filter(None, notes)),
         )
 
+    def _with_standing(self, position: Sequence[Column]) -> tuple[Column, ...]:
+        """Return the columns of positions (n,) with where joints without one stand still; () where
+        there are none.
+
+        What is declared is in the log's unit, that of the joints of the same kind.
+        """
+        sources = [column for column in position if column.factor]
+        if not sources:
+            return ()
+        columns = []
+        for joint, (name, column) in enumerate(zip(self.robot.joint_names, position)):
+            if name in self._standing:
+                is_slide = self.robot.is_slide
+                units = {
+                    other.factor / other.declared_factor
+                    for kind, other in zip(is_slide, position)
+                    if other.factor and kind == is_slide[joint]
+                }
+                if len(units) > 1:
+                    raise InputError(
+                        f"position.{name} is a number, and columns of positions are of several "
+                        "units; give them one unit in their titles"
+                    )
+                place = self._standing[name] - self._zeros[joint]
+                constant = float(place * (units.pop() if units else 1.0))
+                text = self.choices.of("position")[name]
+                column = Column(sources[0].index, text, 0.0, constant=constant)
+            columns.append(column)
+        return tuple(columns)
+
     def _find_joints(self, quantity: str) -> tuple[Column, ...]:
         """Return one column per joint, or () where an optional quantity lacks a joint's."""
         n_joints = self.robot.n_joints
@@ -196,7 +252,7 @@ class ColumnFinder:
         found = [self._find_joint(quantity, k, declared) for k in range(n_joints)]
         columns = tuple(column for column in found if column is not None)
         if len(columns) == n_joints:
-            return columns
+            return self._with_standing(columns) if quantity == "position" else columns
         if declared or quantity in ("position", self.driven):
             raise self._missing_error(quantity)
         return ()
@@ -311,16 +367,25 @@ class ColumnFinder:
             f"the log has no single column {title!r}; name one that there is once"
         )
 
-    def _look_up_all(self, text: str) -> tuple[Sequence[_Source], str]:
-        """Return (column index, factor) of each joint, by a pattern, a range or a list; and a note
-        on joints' names, "" for none.
+    def _look_up_all(self, text: str) -> tuple[Sequence[str], Sequence[_Source], str]:
+        """Return joints and (column index, factor) of each, by a pattern, a range or a list; and a
+        note on joints' names, "" for none. Joints that stand still need no column.
         """
         joint_names = self.robot.joint_names
+        moving = [name for name in joint_names if name not in self._standing]
         texts = self.table.titles
         title, factor = split_factor(text, texts)
-        fits, note = fit_pattern(title, texts, joint_names)
+        if title not in texts and "*" not in title:
+            title = _JOINT_FORM.sub("*", title, count=1)
+        try:
+            fits, note = fit_pattern(title, texts, joint_names)
+        except InputError:
+            if not self._standing:
+                raise
+            fits, note = fit_pattern(title, texts, joint_names, self._standing)
         if fits:
-            return [(column, factor) for column in fits], note
+            names = joint_names if len(fits) == len(joint_names) else moving
+            return names, [(column, factor) for column in fits], note
         titles = [each.strip() for each in text.split(",")]
         ends = _RANGE.fullmatch(title)
         if ends:
@@ -333,14 +398,15 @@ class ColumnFinder:
                 )
             titles = [f"{factor} * #{k}" for k in numbers]
         if "*" in title and len(titles) == 1:
-            raise InputError(f"{title!r} fits no column")
-        if len(titles) != len(joint_names):
+            raise InputError(f"{text!r} fits no column")
+        names = moving if len(titles) == len(moving) else joint_names
+        if len(titles) != len(names):
             joints = count_text(len(joint_names), "joint")
             listed = count_text(len(titles), "column")
             raise InputError(
                 f"{text!r} lists {listed}, the chain has {joints}: {', '.join(joint_names)}"
             )
-        return [*map(self._look_up, titles)], ""
+        return names, [*map(self._look_up, titles)], ""
 
     def _column(
         self, quantity: str, joint: int, index: int, factor: float = 1.0

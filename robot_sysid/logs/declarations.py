@@ -13,6 +13,7 @@ line each or in one line with commas between them::
     torque.joint2 = -M2            a minus flips the sign
     torque.joint3 = 0.95 * I3      a number scales
     torque.joint4 = none           the joint has no motor, or no sensor
+    position.joint4 = 0.7          it has no column, and stands still there, in the log's unit
     velocity = none                keep a quantity out
     zero = 2048                    what positions and commands read at zero: one number, or n
 
@@ -43,6 +44,8 @@ _KEYS = ("time", *JOINT_COLUMNS, "zero", "acceleration", "units", "rate")
 _SCALED = re.compile(
     r"(?:([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*|-)\s*(.+)", re.ASCII
 )
+# A number in the place of a column.
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,2})?", re.ASCII)
 # Titles that a line does not take for a number, a list, another key or a blank.
 _PLAIN_TITLE = re.compile(r"[^\s#,=?]([^#,=?\x00-\x1f]*[^\s#,=?])?")
 # Kind of unit to those that a user may declare.
@@ -81,6 +84,15 @@ class ColumnChoices:
         """Return joint to what is declared of it for a key; the joint "" stands for all."""
         names = [name.partition(".") for name in self.entries]
         return {j: self.entries[k + dot + j] for k, dot, j in names if k == key}
+
+    @property
+    def standing(self) -> Mapping[str, float]:
+        """Joint to where it stands still, in the log's unit: a number in the place of a column."""
+        numbers = {}
+        for joint, value in self.of("position").items():
+            if joint and _NUMBER.fullmatch(value):
+                numbers[joint] = float(value)
+        return numbers
 
     def over(self, fallback: ColumnChoices) -> ColumnChoices:
         """Return these choices, with those of the fallback where these are undeclared."""

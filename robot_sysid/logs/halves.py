@@ -1,6 +1,7 @@
 """Logs of which positions and torques lie in files of their own, joined to one table.
 
-Two files with times are joined by time, others row by row.
+Two files with times are joined by time, others row by row. Where the titles of a file say no
+quantity, its name does: ``q.csv`` and ``current_mA.csv`` may both have the columns j1 to j6.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.table import LARGEST_NUMBER, LogTable, make_table
+from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, Column, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
 
@@ -23,6 +25,8 @@ SAME_RATE = 0.95, 1.05
 """Ratios of sampling periods between which torques may be interpolated at other instants."""
 LEAST_COMMON = 0.5
 """Share of the shorter file that both have to last together."""
+FILE_QUANTITIES = ("position", "velocity", "torque", "current", "command")
+"""Quantities that a file's name may say of its columns."""
 FEWEST_ROWS = 10
 """Rows below which a file has no times to join it by."""
 
@@ -55,6 +59,8 @@ def join_halves(
     Raises:
         InputError: the numbers of files differ, or two of them cannot be joined.
     """
+    if not (choices.of("position") or choices.of("torque")):
+        tables = [_named_by_file(table, robot) for table in tables]
     halves = [_find(table, robot, choices) for table in tables]
     positions = [half for half in halves if half.position and not half.torque]
     torques = [half for half in halves if half.torque and not half.position]
@@ -73,6 +79,35 @@ def join_halves(
         elif half not in torques:
             joined.append(half.table)
     return joined
+
+
+def _named_by_file(table: LogTable, robot: RobotModel) -> LogTable:
+    """Return a table with the quantity and unit of its file's name in the titles of its columns, if
+    these say no quantity but the time.
+    """
+    file_title = read_title(table.path.stem)
+    quantity = file_title.likely_quantity
+    said = {
+        read_title(text, robot.joint_names).likely_quantity for text in table.titles
+    }
+    if quantity not in FILE_QUANTITIES or not said <= {None, "time"}:
+        return table
+    texts = [*table.titles]
+    if texts == [f"#{k}" for k in range(1, len(texts) + 1)]:
+        # Numbers of columns become those of joints, behind a time if there is one column more.
+        has_time = len(texts) == robot.n_joints + 1
+        if has_time and not np.all(np.diff(table.cells([0])[:, 0]) > 0.0):
+            return table
+        texts = ["time"] * has_time + [
+            f"{k}" for k in range(1, len(texts) + 1 - has_time)
+        ]
+    unit = f" [{file_title.unit}]" if file_title.unit else ""
+    titles = [
+        text if read_title(text).quantity == "time" else f"{text} {quantity}{unit}"
+        for text in texts
+    ]
+    note = f"columns of {table} are taken for what its name says: {quantity}{unit}"
+    return replace(table, titles=tuple(titles), notes=(*table.notes, note))
 
 
 def _find(table: LogTable, robot: RobotModel, choices: ColumnChoices) -> _Half:

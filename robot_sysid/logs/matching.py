@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -151,12 +151,15 @@ def measured_columns(titles: Sequence[Title], columns: Sequence[int]) -> Sequenc
 
 
 def fit_pattern(
-    pattern: str, titles: Sequence[str], joint_names: Sequence[str]
+    pattern: str,
+    titles: Sequence[str],
+    joint_names: Sequence[str],
+    standing: Collection[str] = (),
 ) -> tuple[Sequence[int], str]:
     """Return the columns (n,) whose titles fit a pattern, base to terminal, and a note on names.
 
     "*" stands for the joint's number or name; of several, one does. Nothing is returned where no
-    title fits.
+    title fits. Joints that stand still have no column.
 
     Raises:
         InputError: as many titles fit as the arm has no joints, or another arm's.
@@ -179,11 +182,12 @@ def fit_pattern(
         names = dict(fits)
         if counted:
             numbers = {int(text): column for text, column in fits}
-            order = _order_of_numbers([*map(int, names)], joint_names, is_declared=True)
-            columns = [numbers[number] for number in order]
+            order = _order_of_numbers([*numbers], joint_names, True, standing)
+            columns = [numbers[number] for number in order if number in numbers]
             note = ""
         else:
-            matched = match_joint_names([*names], joint_names)
+            moving = [name for name in joint_names if name not in standing]
+            matched = match_joint_names([*names], moving)
             columns = [names[text] for text in matched]
             note = joint_note(matched, [*names])
         # Of two equal titles, one is lost.
@@ -208,6 +212,7 @@ def match_joints(
     first_row: Sequence[str],
     quantities: Sequence[str],
     has_names: bool,
+    standing: Collection[str] = (),
 ) -> tuple[Candidates, str]:
     """Return the candidate columns of quantities, and a note on how joint names were matched.
 
@@ -221,6 +226,7 @@ def match_joints(
         quantities: of ``Title.joint_quantity``.
         has_names: whether positions are not declared, and their titles may name joints in other
             words than the model.
+        standing: names of joints that need no column of a position.
 
     Raises:
         InputError: the joints' names are those of two arms, or of another arm.
@@ -244,12 +250,16 @@ def match_joints(
         if len(numbers) == 1:
             counted[quantity, numbers[0]].append(column)
     names = [name for quantity, name in named if has_names and quantity == "position"]
+    moving = [name for name in joint_names if name not in standing]
     matched = match_joint_names(names, joint_names)
+    if standing and len({*names}) == len(moving):
+        matched = matched or match_joint_names(names, moving)
+    name_in_log = {joint: name for name, joint in matched.items()}
     candidates = {}
     for quantity in quantities:
-        by_name = [named[quantity, name] for name in matched or joint_names]
+        by_name = [named[quantity, name_in_log.get(name, name)] for name in joint_names]
         # Names decide for all joints of a quantity or for none.
-        if not all(by_name):
+        if not all(by_name[joint_names.index(name)] for name in moving):
             by_name = [[]] * robot.n_joints
         taken = {*chain(*by_name)}
         by_number = {}
@@ -257,8 +267,13 @@ def match_joints(
             others = [column for column in columns if column not in taken]
             if its_quantity == quantity and others:
                 by_number[number] = others
-        order = () if listed_names else _order_of_numbers([*by_number], joint_names)
-        numbered = [by_number[k] for k in order] or [[]] * robot.n_joints
+        order: Sequence[int] = ()
+        if not listed_names:
+            order = _order_of_numbers([*by_number], joint_names)
+            order = order or _order_of_numbers(
+                [*by_number], joint_names, standing=standing
+            )
+        numbered = [by_number.get(k, []) for k in order] or [[]] * robot.n_joints
         candidates[quantity] = [
             [*measured_columns(titles, columns), *measured_columns(titles, others)]
             for columns, others in zip(by_name, numbered)
@@ -267,21 +282,28 @@ def match_joints(
 
 
 def _order_of_numbers(
-    numbers: Sequence[int], joint_names: Sequence[str], is_declared: bool = False
+    numbers: Sequence[int],
+    joint_names: Sequence[str],
+    is_declared: bool = False,
+    standing: Collection[str] = (),
 ) -> Sequence[int]:
     """Return which of the numbers in titles is each joint's, base to terminal; () for no answer.
 
     They are those of the joints' names, or count from 0 or 1; from any number where a user has
-    declared the titles.
+    declared the titles. Those of joints that stand still are not among them, but count.
     """
+    places = [k for k, name in enumerate(joint_names) if name not in standing]
     order = sorted(numbers)
     own_numbers = name_numbers(joint_names)
-    if order == sorted(own_numbers):
+    if own_numbers and order == sorted(own_numbers[k] for k in places):
         return own_numbers
-    starts = order[:1] if is_declared else (0, 1)
-    is_counted = any(order == [*range(k, k + len(joint_names))] for k in starts)
     # Where the model's names are numbered in another order, counting contradicts them.
-    return order if is_counted and own_numbers == sorted(own_numbers) else ()
+    if not order or own_numbers != sorted(own_numbers):
+        return ()
+    for start in [order[0] - places[0]] if is_declared else (0, 1):
+        if order == [start + k for k in places]:
+            return range(start, start + len(joint_names))
+    return ()
 
 
 def ambiguity_error(

@@ -252,8 +252,12 @@ def find_motion(
         columns = finder.recognise("position")
         samples = evidence.samples[:, [column.index for column in columns]]
         zeros = [column.zero for column in columns]
+        constants = [column.constant for column in columns]
         factors = [column.factor for column in columns]
-        return find_units(finder, suggestion, (samples - zeros) * factors)
+        return find_units(finder, suggestion, (samples - zeros) * factors + constants)
+    standing = find_standing(finder)
+    if standing:
+        return None, ask_where(finder, suggestion, standing)
     suggestion = suggestion.declare("position", BLANK)
     motions = [
         m for m in evidence.groups if m.quantity in (None, "position", "velocity")
@@ -301,6 +305,28 @@ def find_motion(
     if stated:
         return samples * UNITS["position"].get(stated, 1.0), suggestion
     return find_units(finder, suggestion, samples)
+
+
+def find_standing(finder: ColumnFinder) -> str:
+    """Return the one joint without which the titles name a position of each; "" for none."""
+    names = finder.robot.joint_names
+    complete = [
+        name
+        for name in names
+        if finder.declaring(f"position.{name}", "0").recognise("position")
+    ]
+    return complete[0] if len(complete) == 1 and len(names) > 2 else ""
+
+
+def ask_where(finder: ColumnFinder, suggestion: Suggestion, joint: str) -> Suggestion:
+    """Return the suggestion with a blank for where a joint stood still that has no column."""
+    reason = f"if {joint} stood still, and has no column, state where"
+    suggestion = suggestion.declare(f"position.{joint}", BLANK, reason)
+    at_rest = finder.declaring(f"position.{joint}", "0")
+    without_torque = at_rest.declaring(f"torque.{joint}", "none")
+    if not at_rest.recognise("torque") and without_torque.recognise("torque"):
+        suggestion = suggestion.declare(f"torque.{joint}", "none")
+    return suggestion
 
 
 def find_measured(
@@ -433,6 +459,8 @@ def find_driven(
     quantities = [driven]
     if driven == "torque":
         quantities += ["current", "commanded"]
+    if any(key.startswith(f"{driven}.") for key in suggestion.entries):
+        return suggestion
     found = (finder.matches(quantity, evidence.groups) for quantity in quantities)
     candidates = next(filter(None, found), [])
     if is_certain(candidates):
@@ -469,12 +497,12 @@ def shortened(texts: Sequence[str], noun: str) -> list[str]:
 
 def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     """Return the declarations that a log lacks, behind those that were given; None where no columns
-    are a group.
+    are a group, and no single joint lacks its own.
     """
     samples = _read_samples(finder.table)
     evidence = Evidence(finder, samples, [*_find_groups(finder, samples)])
     groups = evidence.groups
-    if not groups:
+    if not (groups or find_standing(finder)):
         return None
     titles = finder.table.titles
     grouped = {*chain.from_iterable(group.columns for group in groups)}

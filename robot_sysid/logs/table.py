@@ -306,6 +306,7 @@ def read_cells(
     for column, numbers in zip(used, cells.T[-len(used) :]):
         numbers -= column.zero
         np.multiply(numbers, column.factor, out=numbers, where=np.isfinite(numbers))
+        numbers += column.constant
     if columns.time is None:
         cells[:, 1] = np.arange(count) / (columns.rate or 1.0)
     else:

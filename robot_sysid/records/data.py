@@ -90,6 +90,8 @@ class Column:
         factor: by which the column's numbers are multiplied to be in SI units.
         declared_factor: the part of this factor that the line of a columns file states.
         zero: the number in the column that stands for zero.
+        constant: what is added to the column in SI units; of a joint that stands still and has no
+            column, whose factor is zero, its position.
     """
 
     index: int
@@ -97,6 +99,7 @@ class Column:
     factor: float
     declared_factor: float = 1.0
     zero: float = 0.0
+    constant: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -162,7 +165,7 @@ def _quote(columns: Sequence[Column]) -> str:
     texts = []
     for column in columns:
         if not column.factor:
-            texts.append("none")
+            texts.append(column.title)
             continue
         text = f"'{column.title}'"
         if column.zero:

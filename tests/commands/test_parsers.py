@@ -160,3 +160,13 @@ def test_options_may_stand_between_the_files_of_a_list(line):
     values, _ = COMMANDS["log"].parse(line.split())
     files = {"log": (Path("q"), Path("t")), "path": Path("m")}
     assert values == {**files, "units": "deg"}
+
+
+@pytest.mark.parametrize(
+    "words", ["q.csv tau.csv", "q.csv --validation-measurements tau.csv"]
+)
+def test_a_log_that_tests_the_result_may_be_two_files(words):
+    arguments = ["arm.xml", "log.csv", "--validation-measurements", *words.split()]
+    given = Parser(COMMANDS["identify"]).given_values(arguments, ())
+    assert list(given["validation_measurements"]) == [Path("q.csv"), Path("tau.csv")]
+    assert list(given["measurements"]) == [Path("log.csv")]

@@ -192,3 +192,50 @@ def test_commanded_positions_in_a_file_of_their_own_are_read_for_servos(tmp_path
     commands = write_half(tmp_path, "command.csv", DATA.time, DATA.q + 0.01, titles)
     (log,) = read([positions, commands], commanded=True)
     np.testing.assert_allclose(log.tau, 0.01, rtol=0.0, atol=1e-15)
+
+
+SAME_TITLES = [("j1", "j2", "j3"), ("Axis 1", "Axis 2", "Axis 3"), JOINTS, None]
+
+
+@pytest.mark.parametrize("titles", SAME_TITLES)
+@pytest.mark.parametrize(
+    ("names", "factor"),
+    [
+        (("q", "tau"), 1.0),
+        (("run1_position", "run1_torque_mNm"), 1e3),
+        (("winkel", "drehmoment"), 1),
+    ],
+)
+def test_of_files_with_the_same_titles_the_names_say_which_is_which(
+    tmp_path, titles, names, factor
+):
+    paths = []
+    for name, values in zip(names, (DATA.q, factor * DATA.tau)):
+        rows = np.column_stack((DATA.time, values))
+        header = ("time", *titles) if titles else ()
+        paths.append(write(tmp_path / f"{name}.csv", rows, header))
+    notes = assert_joined(paths, atol=1e-12)
+    assert "taken for what its name says: position" in notes
+
+
+def test_a_file_of_currents_by_its_name_and_unit(tmp_path):
+    """The refusal prints the option that takes them."""
+    titles = ("j1", "j2", "j3")
+    paths = [
+        write_half(tmp_path, "q_deg.csv", DATA.time, np.degrees(DATA.q), titles),
+        write_half(tmp_path, "current_mA.csv", DATA.time, 1e3 * DATA.tau, titles),
+    ]
+    with refused("are motor currents: give --torque-constants") as caught:
+        read(paths)
+    assert caught.value.options == (("--torque-constants", "1"),)
+    assert_joined(paths, atol=1e-12, torque_constants=1.0)
+
+
+def test_names_of_files_that_say_no_measurement_are_not_believed(tmp_path):
+    titles = ("j1", "j2", "j3")
+    paths = [
+        write_half(tmp_path, "q.csv", DATA.time, DATA.q, titles),
+        write_half(tmp_path, "tau_cmd.csv", DATA.time, DATA.tau, titles),
+    ]
+    with refused("torque"):
+        read(paths)

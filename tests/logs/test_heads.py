@@ -33,7 +33,7 @@ from robot_sysid.records import ColumnMap
 
 HEADS = blocks_of(Path(__file__).with_name("heads.txt"))
 Block = Mapping[str, Sequence[str]]
-UNITS = {"deg": math.pi / 180, "rev": 2 * math.pi}
+UNITS = {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi}
 JOINT_GROUPS = ("position", "torque", "velocity", "joint_time")
 
 
@@ -80,8 +80,15 @@ def check_map(block: Block, folder: Path) -> None:
         expected = cells_of(block, quantity)
         assert len(group) == len(expected), quantity
         for column, text in zip(group, expected):
-            if text == "none":
-                assert column.factor == 0.0
+            number = re.fullmatch(r"(-?[\d.]+)( deg)?", text)
+            if text == "none" or number:
+                # The number of a joint that stands still.
+                place = (
+                    float(number[1]) * UNITS["deg" if number[2] else "rad"]
+                    if number
+                    else 0.0
+                )
+                assert (column.factor, column.constant) == (0.0, place)
                 continue
             title, factor, zero = column_of(text)
             found = column.title, column.index, column.factor, column.zero

@@ -14,7 +14,15 @@ from rigs.arms import small_arms
 from rigs.arms.wrong_arms import truth_of
 from rigs.files.command_line import OUT, CommandLine
 from rigs.files.refusals import refused
-from rigs.logs.log_files import JOINTS, arm_of, limits, motion, open_log, write_signals
+from rigs.logs.log_files import (
+    JOINTS,
+    arm_of,
+    limits,
+    motion,
+    open_log,
+    write,
+    write_signals,
+)
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.wording import in_python
@@ -60,6 +68,37 @@ def test_rows_of_postures_have_no_unit_of_time(truth, tmp_path):
     with pytest.raises(InputError) as caught:
         open_log(truth.robot, path)
     assert caught.value.options == (("--columns", "position = w*_pos_y"),)
+
+
+@pytest.mark.parametrize("form", ["q{}", "joint{}_pos"])
+def test_a_joint_without_columns_is_asked_for(truth, tmp_path, form):
+    """A joint that stands still has a number in the place of a column."""
+    log = truth.log
+    moving = [0, 1, 3]
+    names = ["time", *map(form.format, moving), *map("tau{}".format, moving)]
+    rows = np.column_stack((log.time, log.q[:, moving], log.tau[:, moving]))
+    path = write(tmp_path / "log.csv", rows, names)
+    line = "position.joint2 = ?, torque.joint2 = none"
+    with refused("if joint2 stood still") as caught:
+        open_log(truth.robot, path)
+    assert caught.value.options == (("--columns", line),)
+    found = open_log(truth.robot, path, LogOptions(line.replace("?", "0.7")))
+    np.testing.assert_array_equal(found.q[:, moving], log.q[:, moving])
+    np.testing.assert_array_equal(found.q[:, 2], 0.7)
+    assert any(
+        "joints that do not move in this log: joint2" in note for note in found.notes
+    )
+
+
+def test_hundreds_of_columns_are_not_listed(truth, tmp_path):
+    """A table with a column per sample, or of another machine."""
+    titles = ["time", *map("x{}".format, range(600))]
+    path = write(
+        tmp_path / "log.csv", np.random.default_rng(1).normal(size=(50, 601)), titles
+    )
+    with refused("x22, 577 more") as caught:
+        open_log(truth.robot, path)
+    assert len(str(caught.value)) < 1000
 
 
 TWINS = {
