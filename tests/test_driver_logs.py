@@ -86,7 +86,7 @@ def remedies(message):
     return [shlex.split(line)[1:] for line in lines]
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @NEEDS_MODELS
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_a_servo_arms_data_set_names_the_command_that_needs_no_torque(

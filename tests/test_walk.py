@@ -103,6 +103,7 @@ def test_from_a_log_to_the_file_to_use():
     assert len(steps) == 3
 
 
+@pytest.mark.slow
 def test_from_a_self_test_to_the_file_to_use():
     path, arm = small_arm()
     walk = Walk(arm)

@@ -23,6 +23,7 @@ def printed_commands(out: str) -> list[list[str]]:
     ]
 
 
+@pytest.mark.slow
 def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path):
     out = command.run("example kinova --output-dir", Path("a/b c")).out
     commands = printed_commands(out)

@@ -80,6 +80,7 @@ def test_a_program_gets_the_same_files(command, heavy, logs, first):
     assert Path("saved", "updated_model.xml").read_bytes() == model
 
 
+@pytest.mark.slow
 def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     first, second = logs
     options = (first, "--links --validation-measurements", second, *QUICK)
@@ -133,6 +134,7 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
     assert not Path("out", "updated_model.xml").exists()
 
 
+@pytest.mark.slow
 def test_what_is_kept_stays_as_it_was(command, arm_file, logs):
     path = arm_file(
         HEAVY.replace('armature=".05"', 'armature=".04" ').replace('".3"', '".2"')

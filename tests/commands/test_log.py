@@ -115,6 +115,7 @@ def test_units_replace_those_of_their_kind():
     assert line == "robot-sysid log log.csv arm.xml --units deg,us"
 
 
+@pytest.mark.slow
 def test_degrees_end_with_the_command_that_declares_the_unit(command):
     """No arm is as fast as these are in radians."""
     lines = command.run("log degrees.csv arm.xml", code=2).err.splitlines()
@@ -137,6 +138,7 @@ def test_a_turned_sign_is_put_right_with_the_command_that_is_named(folder, comma
     assert "nothing that stops an identification was found" in right.out
 
 
+@pytest.mark.slow
 def test_positions_and_torques_in_two_files_are_one_log(command):
     """The commands that are printed name both files."""
     printed = command.run("log q_log.csv tau_log.csv arm.xml").out

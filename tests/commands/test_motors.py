@@ -192,6 +192,7 @@ def test_play_records_but_over_no_file_and_nobody_is_asked_first(
 FAST = "--rate 125 --yes"
 
 
+@pytest.mark.slow
 def test_a_run_without_missing_answers_says_so_in_a_line(motors, bus, trajectory):
     out = motors.succeed("play", trajectory, CAN0, FAST)
     assert "every command was answered" in out and "lost" not in out

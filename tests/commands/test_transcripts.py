@@ -23,7 +23,7 @@ def workshop(tmp_path_factory):
     return tmp_path_factory.mktemp("workshop")
 
 
-@pytest.mark.fast_cases(5)
+@pytest.mark.fast_cases(3)
 @pytest.mark.parametrize("name", transcripts.TRANSCRIPTS)
 def test_a_command_prints_what_is_recorded(name, workshop):
     transcript = transcripts.TRANSCRIPTS[name]

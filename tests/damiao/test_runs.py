@@ -67,6 +67,7 @@ def test_an_undisturbed_run_plays_everything_and_disables(plain_run):
     run.assert_harmless()
 
 
+@pytest.mark.slow
 def test_lost_replies_and_a_short_stall_leave_gaps_and_nothing_is_replayed(rig):
     run = rig(**USUAL)
     found = delay_cause(0.008, fault(1, lost_replies=False))
@@ -85,6 +86,7 @@ def test_lost_replies_and_a_short_stall_leave_gaps_and_nothing_is_replayed(rig):
     assert np.all(np.diff(recording.columns["j0_cmd_pos"][:120]) >= 0.0)
 
 
+@pytest.mark.slow
 def test_a_status_in_every_tenth_answer_is_counted_in_a_run_that_goes_on(rig):
     """Its rows have no values of this motor, but for the status."""
     wrong = fault(1, false_status=3, false_every=10)
@@ -313,7 +315,7 @@ def to_zero(hit):
     return -hit.position
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seconds", "shift"),
     [(0.002, 2.0 * np.pi), (0.008, 0.0), (0.008, to_zero), (0.014, -0.3)],

@@ -138,7 +138,7 @@ def check(four_joints):
     return check_fault
 
 
-@pytest.mark.fast_cases(2)
+@pytest.mark.fast_cases(1)
 @pytest.mark.parametrize("faults", [*TORQUES, *SAMPLES])
 def test_faults_are_called_by_their_names(check, faults):
     _, findings = check(faults)

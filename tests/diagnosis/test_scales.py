@@ -63,7 +63,7 @@ def test_one_joint_is_blamed_unless_all_are_in_another_unit(four_joints, others,
     assert sum(each.text.startswith(alone) for each in found) == named
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "level"), [(1.0, None), (0.78, Level.SAYS), (0.6, Level.REFUSES)]
 )

@@ -114,7 +114,7 @@ def test_noise_with_a_memory_does_not_hide_that_there_is_no_friction(
     assert found[0].level is Level.DOUBTS and text in found[0].text
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [1.0, 1.3])
 def test_torque_of_the_model_and_its_friction_is_called_its_own(four_joints, times):
     """Links that are all heavier than the model's are an arm's, whatever its friction is."""
@@ -127,6 +127,7 @@ def test_torque_of_the_model_and_its_friction_is_called_its_own(four_joints, tim
     assert all("its friction as well" in each.text for each in named)
 
 
+@pytest.mark.slow
 def test_as_much_noise_makes_no_measured_torque_a_computed_one(four_joints):
     """A tenth of the usual friction is what sensors behind gears see."""
     little = 0.1 * four_joints.friction + four_joints.rigid

@@ -93,7 +93,7 @@ def test_a_fault_that_lasts_a_moment_is_left_out_and_said(four_joints, fault):
     assert abs(error) < 3.0 * answer.fit.error_of("m")
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spans",
     [[(0.5 + k, 0.9 + k) for k in range(8)], [(1.0, 9.0)]],
@@ -181,7 +181,7 @@ def test_coarse_steps_and_joints_at_rest_are_no_failed_sensors():
     assert [*failed_sensors([replace(NOISY, q=resting)])] == []
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_joint_that_friction_holds_with_one_torque_is_no_failed_sensor(
     four_joints, joint

@@ -150,7 +150,7 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     assert np.min(np.abs(slopes - np.sum(products))) < 1e-4 * size
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("xml", [small_arms.SEVEN, small_arms.SLIDE_IN_CHAIN])
 def test_the_grid_is_fine_enough_for_the_band(xml):
     """On the search's grid, with rounded friction, no deviation is off by more than 3 %."""

@@ -284,6 +284,7 @@ def test_a_curve_that_an_arm_does_not_have_leaves_nothing_in_its_file(folder):
     assert not np.any(load_robot_model(written[0]).mj_model.dof_dampingpoly)
 
 
+@pytest.mark.slow
 def test_check_finds_nothing_between_a_curved_model_and_its_arm(folder):
     check = rs.check(folder / CURVED_NAME, folder / "other.csv")
     assert not check.has_changed
@@ -372,6 +373,7 @@ def test_servos_of_a_curved_model_are_refused_with_the_file_that_they_need(folde
     refuse_bends(load_robot_model(folder / STRAIGHT_NAME))
 
 
+@pytest.mark.slow
 def test_a_card_has_the_straight_line_and_says_so(folder):
     log = folder / "log.csv"
     result = rs.identify(folder / "arm.xml", log, cards="drake")

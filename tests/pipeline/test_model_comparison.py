@@ -106,6 +106,7 @@ def test_a_difference_that_links_may_look_like_is_said_as_perhaps():
     assert check.verdict[0].startswith("Perhaps differs from the model: the position")
 
 
+@pytest.mark.slow
 def test_what_nothing_explains_is_said_of_each_joint_without_a_cause():
     def changed(log):
         wave = 8.0 * np.sign(np.sin(5.0 * log.time)) * np.sin(23.0 * log.time)

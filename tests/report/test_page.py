@@ -131,6 +131,7 @@ def test_the_title_names_the_robot_the_day_and_the_logs(link_run, tmp_path):
     assert "<title>scene, " in text and "not at" in text
 
 
+@pytest.mark.slow
 def test_a_command_of_the_verdict_stands_alone_to_be_copied(link_run, tmp_path):
     lines = ("Usable: yes", "Next, to test it:", "  robot-sysid log 'a b.csv'")
     run = replace(load_run(link_run), printed=lines)
