@@ -20,7 +20,7 @@ def test_the_page_has_the_arms_of_the_script_in_its_order():
     names = parts[1::2]
     assert names == [*(arm.name for arm in arm_numbers.ARMS), arm_numbers.OTHER_LOGS]
     for arm, text in zip(arm_numbers.ARMS, parts[2::2]):
-        assert f"]({arm.source}), licence: {arm.licence}." in text
+        assert f"]({arm.source}), licence: {arm.licence}. Torque: {arm.torque}." in text
         assert f"```text\n{arm.command}\n```" in text
         rows = re.findall(r"^\| .* \|$", text, re.MULTILINE)
         assert (len(rows) > 2) != ("No numbers: " in text)
