@@ -32,7 +32,7 @@ FEWEST_ROWS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class _Half:
+class Half:
     """A log as a table, its column of time, and the indices of others; empty for none.
 
     Velocities are with positions.
@@ -75,7 +75,7 @@ def join_halves(
     joined = []
     for half in halves:
         if half in positions:
-            joined.append(_join(half, torques[positions.index(half)]))
+            joined.append(join_pair(half, torques[positions.index(half)]))
         elif half not in torques:
             joined.append(half.table)
     return joined
@@ -110,7 +110,7 @@ def _named_by_file(table: LogTable, robot: RobotModel) -> LogTable:
     return replace(table, titles=tuple(titles), notes=(*table.notes, note))
 
 
-def _find(table: LogTable, robot: RobotModel, choices: ColumnChoices) -> _Half:
+def _find(table: LogTable, robot: RobotModel, choices: ColumnChoices) -> Half:
     """Return which columns of a table are positions, torques and time."""
     stated = replace(choices.over(table.choices), currents=False)
     finder = ColumnFinder(table, robot, stated)
@@ -132,10 +132,10 @@ def _find(table: LogTable, robot: RobotModel, choices: ColumnChoices) -> _Half:
     position = indices("position")
     if position:
         position += indices("velocity")
-    return _Half(table, finder.recognise("time"), position, indices(*driven))
+    return Half(table, finder.recognise("time"), position, indices(*driven))
 
 
-def _join(position: _Half, torque: _Half) -> LogTable:
+def join_pair(position: Half, torque: Half) -> LogTable:
     """Return the rows of a table of positions beside those of a table of torques."""
     q_time, tau_time = ([c.index for c in half.time] for half in (position, torque))
     q_columns = [*q_time, *position.position]

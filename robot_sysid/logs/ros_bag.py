@@ -14,7 +14,7 @@ not chosen from.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
@@ -25,6 +25,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
+from robot_sysid.logs.halves import Half, join_pair
 from robot_sysid.logs.joint_names import (
     are_opposite_sides,
     match_joint_names,
@@ -49,6 +50,7 @@ from robot_sysid.logs.table import (
     make_table,
 )
 from robot_sysid.logs.titles import read_title
+from robot_sysid.records import Column
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.wording import option_name
 
@@ -56,6 +58,8 @@ Message = tuple[int, Sample]
 """(time of the header, or else of recording [ns since 1970], sample)."""
 
 
+POSITIONS_ALONE = True, False, False
+"""The rank of a topic without torques."""
 # Words in the names of topics of an arm by which another one is led.
 _LEADERS = frozenset({"leader", "master"})
 
@@ -80,6 +84,11 @@ class Topic:
     rank: tuple[bool, bool, bool]
 
     @property
+    def has_torque_alone(self) -> bool:
+        """Whether it has measured torques of the arm's joints, and no positions."""
+        return self.rank == (False, True, True) and not self.is_commanded
+
+    @property
     def is_commanded(self) -> bool:
         """Whether its name marks it as commands or references, as in /desired_joint_states.
 
@@ -89,8 +98,15 @@ class Topic:
         return title.is_commanded or bool(_LEADERS & {*title.tokens})
 
 
-def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
+def choose_topic(
+    path: Path, topics: Sequence[Topic], find_arrays: Callable[[], Sequence[str]] = list
+) -> tuple[Topic, str]:
     """Return the topic to read, and a sentence on the others that hold the arm; "" for none.
+
+    Args:
+        path: of the bag.
+        topics: that hold joints.
+        find_arrays: returns descriptions of other topics, in which torques may be.
 
     Raises:
         InputError: topics of two arms fit, or the only one lacks torques.
@@ -103,11 +119,19 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
         measured or fitting,
         key=lambda t: (-t.n_messages, types.index(t.message_type), t.name),
     )
-    if best == (True, False, False) and not rivals:
-        raise InputError(
-            f"{path}: topic {topic_read.name} has no effort of the arm's joints; let the driver "
-            "publish effort and record again"
-        )
+    if best == POSITIONS_ALONE and not rivals:
+        fault = f"{path}: topic {topic_read.name} has no effort of the arm's joints"
+        with_torque = [t for t in topics if t.has_torque_alone]
+        others = [
+            f"{t.name} ({t.message_type}, {t.n_messages} messages)" for t in with_torque
+        ]
+        others += find_arrays()
+        if others:
+            raise InputError(
+                f"{fault}; torques may be in {', '.join(others)}: write times and torques of "
+                "the joints into a table, those of positions into another one, and give both"
+            )
+        raise InputError(f"{fault}; let the driver publish effort and record again")
     if any(_is_of_another_arm(topic_read.name, rival.name) for rival in rivals):
         fitting = [topic_read, *rivals]
         listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
@@ -155,8 +179,64 @@ def bag_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> Lo
             topics += _read_topic(path, bag, name, joint_names)
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
-        topic, note = choose_topic(path, topics)
+        torque_topics = [t for t in topics if t.has_torque_alone]
+        if (
+            max(topic.rank for topic in topics) == POSITIONS_ALONE
+            and len(torque_topics) == 1
+        ):
+            positions = [t for t in topics if t.rank == POSITIONS_ALONE]
+            topics = [_with_torques(topic, torque_topics[0]) for topic in positions]
+        topic, note = choose_topic(
+            path, topics, partial(_arrays_of, bag, len(joint_names))
+        )
     return replace(topic.table, notes=(*topic.table.notes, *filter(None, [note])))
+
+
+def _with_torques(position: Topic, torque: Topic) -> Topic:
+    """Return a topic of positions with the torques of another one, joined by time."""
+    halves = []
+    for topic, quantities in (
+        (position, {"position", "velocity"}),
+        (torque, {*TORQUE}),
+    ):
+        kinds = [title.rpartition(" ")[2] for title in topic.table.titles]
+        indices = [k for k, kind in enumerate(kinds) if kind in quantities]
+        table = replace(topic.table, path=topic.table.path / topic.name.strip("/"))
+        halves.append((table, indices))
+    time = [Column(0, "time", 1.0)]
+    (position_table, q), (torque_table, tau) = halves
+    joined = join_pair(
+        Half(position_table, time, q, []), Half(torque_table, time, [], tau)
+    )
+    table = replace(joined, path=position.table.path)
+    return replace(position, table=table, rank=(True, *torque.rank[1:]))
+
+
+def _arrays_of(bag: Any, least: int) -> list[str]:
+    """Return a description of the topics of other messages that hold as many numbers, or more."""
+    described = []
+    for connection in bag.connections:
+        message_type = connection.msgtype
+        is_known = message_type in bag.typestore.fielddefs
+        is_commanded = read_title(connection.topic).is_commanded
+        if message_type in READERS or is_commanded or not is_known:
+            continue
+        _, _, raw = next(bag.messages(connections=[connection]), (None, None, None))
+        if raw is None:
+            continue
+        sizes = {
+            name: np.size(value)
+            for name, value in vars(bag.deserialize(raw, message_type)).items()
+            if np.asarray(value).dtype.kind == "f" and np.size(value) >= least
+        }
+        if sizes:
+            listed = ", ".join(
+                f"{size} numbers in {name}" for name, size in sizes.items()
+            )
+            described.append(
+                f"{connection.topic} ({message_type}: {listed}, {connection.msgcount} messages)"
+            )
+    return described
 
 
 def _joint_topics(bag: Any) -> tuple[set[str], set[str]]:
@@ -178,8 +258,10 @@ def _joint_topics(bag: Any) -> tuple[set[str], set[str]]:
 
 
 def _connections(bag: Any, topic: str) -> list[Any]:
-    """Return the connections of a bag through which a topic was recorded, one per publisher."""
-    return [c for c in bag.connections if c.topic == topic]
+    """Return the connections of a bag through which joints of a topic were recorded, one per
+    publisher; messages of other types may share its name.
+    """
+    return [c for c in bag.connections if c.topic == topic and c.msgtype in READERS]
 
 
 def _read_topic(

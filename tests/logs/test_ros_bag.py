@@ -111,3 +111,60 @@ def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
         metadata.write_text(metadata.read_text().replace("version: 9", "version: 5"))
     assert_read(path, DATA)
     assert_refused("FrankaRobotState. without its definition: .*-s mcap", alone)
+
+
+def states_of(quantity, shift=0.0):
+    """A function of the types that yields JointStates of one quantity, at its times."""
+
+    def messages(types):
+        for time, q, tau in zip(DATA.time + shift, DATA.q, DATA.tau):
+            lists = (q, None, None) if quantity == "position" else (None, None, tau)
+            yield recorded.joint_state(types, time, JOINTS, *lists)
+
+    return messages
+
+
+def arrays_of_torques(types):
+    layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    for tau in DATA.tau:
+        yield types["std_msgs/msg/Float64MultiArray"](layout, tau)
+
+
+def remarks(types):
+    """Messages of another type."""
+    for _ in range(20):
+        yield types["std_msgs/msg/String"]("a remark")
+
+
+def test_torques_of_another_topic_are_joined_by_time(tmp_path):
+    topics = [
+        ("/joint_states", recorded.STATE, states_of("position")),
+        ("/joint_torques", recorded.STATE, states_of("effort")),
+    ]
+    path = recorded.write_bag(tmp_path / "bag", topics)
+    log = assert_read(path, DATA)
+    assert "joint_states and torques of " in notes_of(log)
+    topics[1] = ("/desired_torques", *topics[1][1:])
+    path = recorded.write_bag(tmp_path / "commanded", topics)
+    assert_refused("no effort of the arm's joints; let the driver", path)
+
+
+def test_torques_in_another_message_are_named_with_their_size(tmp_path):
+    topics = [
+        ("/joint_states", recorded.STATE, states_of("position")),
+        ("/torques", "std_msgs/msg/Float64MultiArray", arrays_of_torques),
+        ("/commands", "std_msgs/msg/Float64MultiArray", arrays_of_torques),
+        ("/remarks", "std_msgs/msg/String", remarks),
+    ]
+    path = recorded.write_bag(tmp_path / "bag", topics)
+    message = assert_refused(
+        "torques may be in /torques .*: 3 numbers in data, 60 messages", path
+    )
+    assert "/commands" not in message
+
+
+def test_messages_of_another_type_on_the_topic_are_left_alone(tmp_path):
+    states = topic("/joint_states", rows_of(range(60)))
+    other = ("/joint_states", "std_msgs/msg/String", remarks)
+    path = recorded.write_bag(tmp_path / "bag", [other, states])
+    assert_read(path, DATA)
