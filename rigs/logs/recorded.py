@@ -422,6 +422,27 @@ def write_json_mcap(path: Path, messages: Iterable[tuple[str, int, Any]]) -> Pat
     return path
 
 
+def write_mixed_mcap(path: Path, data: Recording) -> Path:
+    """An MCAP file of a JointState of ROS and of a message of JSON."""
+    writer_class = pytest.importorskip("mcap.writer").Writer
+    store = typestore()
+    definition, _ = store.generate_msgdef(STATE, ros_version=2)
+    with path.open("wb") as stream:
+        writer = writer_class(stream)
+        writer.start(profile="ros2")
+        ros_schema = writer.register_schema(STATE, "ros2msg", definition.encode())
+        json_schema = writer.register_schema("battery", "jsonschema", b"{}")
+        states = writer.register_channel("/joint_states", "cdr", ros_schema)
+        battery = writer.register_channel("/battery", "json", json_schema)
+        values = (data.q[0], data.qd[0], data.tau[0])
+        message = joint_state(store.types, data.time[0], JOINTS, *values)
+        content = bytes(store.serialize_cdr(message, STATE))
+        writer.add_message(states, START_NS, content, START_NS)
+        writer.add_message(battery, START_NS, b'{"volt": 24.0}', START_NS)
+        writer.finish()
+    return path
+
+
 def mcap_of_json(folder: Path, data: Recording) -> Path:
     """An MCAP file of Foxglove's JointStates in JSON, and another topic."""
     messages = []

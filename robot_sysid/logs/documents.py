@@ -24,6 +24,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table, fields
 from robot_sysid.logs.ros_bag import bag_table
+from robot_sysid.logs.ros_messages import READERS
 from robot_sysid.logs.states import named_rows, states_table
 from robot_sysid.logs.table import LogTable, import_optional
 from robot_sysid.logs.text import (
@@ -165,6 +166,12 @@ def mcap_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         quantities = {read_title(t).quantity_beside_name for t in table.titles}
         if quantities >= {"position", "torque"}:
             fitting[topic] = table
+    joint_topics = ", ".join(_ros_topics(path))
+    if not fitting and joint_topics:
+        raise InputError(
+            f"{path} has joint states of ROS ({joint_topics}) beside messages of JSON or protobuf, "
+            "and its reader takes one kind; write the topic into a bag of its own"
+        )
     if len(fitting) != 1:
         listed = ", ".join(fitting or topics) or "none"
         fault = "several topics have" if fitting else "no topic has"
@@ -193,6 +200,18 @@ def _summary(path: Path) -> bytes:
             return b""
         stream.seek(start)
         return stream.read()
+
+
+def _ros_topics(path: Path) -> list[str]:
+    """Return the topics of an MCAP file with joints in messages of ROS."""
+    reader = import_optional("mcap.reader", "mcap")
+    with path.open("rb") as stream:
+        summary = reader.make_reader(stream).get_summary()
+    if summary is None:
+        return []
+    schemas = {key: schema.name for key, schema in summary.schemas.items()}
+    channels = summary.channels.values()
+    return [c.topic for c in channels if schemas.get(c.schema_id) in READERS]
 
 
 def _mcap_states(path: Path) -> Iterator[tuple[str, Any]]:

@@ -160,3 +160,11 @@ def test_topics_of_an_mcap_file_are_listed_where_none_or_several_fit(tmp_path):
     options = LogOptions(topic="/left")
     assert reader.open_table(path, JOINTS, options).layout == "MCAP, topic /left"
     assert_refused("no topic has .*: /left, /right", path, topic="/middle")
+
+
+def test_joint_states_of_ros_beside_json_are_named(tmp_path):
+    """One library reads messages of ROS, and fails at a file with others."""
+    path = recorded.write_mixed_mcap(tmp_path / "mixed.mcap", DATA)
+    assert_refused(
+        "joint states of ROS .*/joint_states.* beside messages of JSON", path
+    )
