@@ -180,7 +180,7 @@ class Walk:
         waiting = [line]
         while waiting and len(self.steps) < MOST_STEPS:
             line = waiting.pop(0)
-            self._record_missing(line)
+            self.record_missing(line)
             self.steps.append(Step(line, *run_here(line, is_hasty=True)))
             output = self.steps[-1].output
             for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
@@ -195,12 +195,12 @@ class Walk:
                 remedies = []
             waiting += next_commands
             for remedy in remedies if self._runs_remedies else ():
-                self._record_missing(remedy)
+                self.record_missing(remedy)
                 self.remedies.append(Step(remedy, *run_here(remedy, is_hasty=True)))
         self.steps += [Step(line, 125, "not reached") for line in waiting]
         return self.steps
 
-    def _record_missing(self, line: str) -> None:
+    def record_missing(self, line: str) -> None:
         """Make the recordings that a command line names and that do not exist."""
         loads = {"empty": 0.0, "empty_again": 0.0, "weight": KNOWN_MASS}
         for word in shlex.split(line):

@@ -1,0 +1,408 @@
+"""Every command that the program prints is run, as it is printed, and leads on.
+
+A situation is what somebody has and types. It is refused, or it ends with a next step; either way
+commands are printed. Each of them has to end better than what came before: a refusal's with a
+result, if need be over further commands that it prints, and a next step's without a fault. Where
+nothing more can be got, that is said.
+
+What prints a command is found in the package's source: an option that an error offers, and a state
+of ``STEPS``. Each has a situation here, or tests elsewhere.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigs.arms import small_arms
+from rigs.arms.walk import Step, TrueArm, Walk, run_here
+from rigs.arms.wrong_arms import resting_torque, truth_of
+from rigs.files import urdf
+from rigs.logs import servo_logs
+from rigs.logs.log_files import write_signals
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.next_steps import STEPS
+from robot_sysid.records import Recording
+from tests.diagnosis.conftest import FOUR_AXES, JOINT
+from tests.test_architecture import nodes_of, package_sources
+
+OPTION = re.compile(r"--[a-z][a-z-]*[a-z]")
+FORWARDING = {
+    "robot_sysid.commands.remedies",
+    "robot_sysid.pipeline.next_steps",
+    "robot_sysid.wording",
+}
+"""Modules that print the commands of others."""
+ELSEWHERE = {
+    "step: motion planned for motors": "commands/test_motors_steps.py",
+    "step: motion recorded": "commands/test_motors_steps.py",
+    "commands.motors.setup --motor": "commands/test_motors_setup.py",
+    "commands.motors.session --accept": "commands/test_motors.py",
+    "logs.ros_bag --topic": "logs/test_ros_topics.py",
+    "logs.documents --topic": "logs/test_documents.py",
+    "step: torque scales known": "test_walk.py",
+    "motion.promise --speed": "motion/test_promise.py",
+    "motion.promise --duration": "motion/test_promise.py",
+    "diagnosis.misfits --accept": "diagnosis/test_public_arms.py",
+}
+"""Sources whose commands need motors, a library or another arm, to the tests that have it."""
+MOST_COMMANDS = 4
+"""Commands one after the other within which a refusal has to lead to a result."""
+
+
+def offered_options(source: str) -> Iterator[str]:
+    """Yield the options that a module's tuples of words state, such as ("--units", "ms")."""
+    for node in nodes_of(source):
+        if not isinstance(node, ast.Tuple) or isinstance(node.ctx, ast.Store):
+            continue
+        texts = [each.value for each in node.elts if isinstance(each, ast.Constant)]
+        flags = [text for text in texts if OPTION.fullmatch(str(text))]
+        # Names of options alone are no words of a command, nor is an option beside what it writes.
+        if flags and len(flags) < len(node.elts) and flags[0] != "--output-dir":
+            yield flags[0]
+
+
+def sources() -> set[str]:
+    """Return what prints commands: options by module, whole commands by module, and steps."""
+    found = {f"step: {state}" for state in STEPS}
+    for name, source in package_sources().items():
+        if name in FORWARDING:
+            continue
+        short = name.partition(".")[2]
+        found |= {f"{short} {flag}" for flag in offered_options(source)}
+        names = {n.id for n in nodes_of(source) if isinstance(n, ast.Name)}
+        keywords = {n.arg for n in nodes_of(source) if isinstance(n, ast.keyword)}
+        if "command_lines" in (names | keywords) and short not in ("errors", "cli"):
+            found.add(f"{short} command")
+    return found
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What somebody has and types.
+
+    Attributes:
+        sources: of the commands that are printed on the way.
+        words: that are typed.
+        prepare: writes the files into the working folder, and returns the arm of later recordings.
+        ends: what is said where nothing more can be got; "" where each command leads on.
+        is_fast: whether it takes less than a second.
+        folders: of the results before and after, of which the second is to be better elsewhere.
+    """
+
+    sources: tuple[str, ...]
+    words: str
+    prepare: Callable[[], TrueArm | None]
+    ends: str = ""
+    is_fast: bool = False
+    folders: tuple[str, str] = ("", "")
+
+
+def written_arm(text: str = "", name: str = "arm.xml") -> Path:
+    """Write a model and return its path."""
+    path = Path(name)
+    path.write_text(text or small_arms.serial_arm(FOUR_AXES, joint=JOINT))
+    return path
+
+
+def log_with(
+    change: Callable[[Recording], Recording], name: str = "log.csv"
+) -> Callable[[], None]:
+    """Return what writes an arm and a log of it in which something is changed."""
+
+    def prepare() -> None:
+        robot = load_robot_model(written_arm())
+        log = change(truth_of(robot, seed=4).log)
+        write_measurement_csv(Path(name), robot.joint_names, [log])
+
+    return prepare
+
+
+def log_titled(**signals: str) -> Callable[[], None]:
+    """Return what writes an arm and a log of it under other titles, see ``signals_of``."""
+
+    def prepare() -> None:
+        robot = load_robot_model(written_arm())
+        titles = {title.replace("N", "{}"): name for title, name in signals.items()}
+        write_signals(Path("log.csv"), truth_of(robot, seed=4).log, titles)
+
+    return prepare
+
+
+def true_arm(carries: bool = True, is_short: bool = False) -> Callable[[], TrueArm]:
+    """Return what writes an arm of three joints and its first log, and returns the arm."""
+
+    def prepare() -> TrueArm:
+        text = small_arms.serial_arm(joint='range="-2 2" armature=".02"')
+        arm = TrueArm(load_robot_model(written_arm(text)), 1, 1.0, carries)
+        plan = arm.first_plan
+        if is_short:
+            plan = replace(plan, duration=4.0, fade=1.0).scale_amplitudes(0.4)
+        arm.record(Path("log.csv"), plan, arm.tool_mass if carries else 0.0)
+        arm.tool_mass *= carries
+        return arm
+
+    return prepare
+
+
+def arm_with_currents() -> TrueArm:
+    """Its log has currents below the titles of torques."""
+    constants = np.array([8.0, 12.0, 10.0, 5.0])
+    arm = TrueArm(load_robot_model(written_arm()), 1, constants)
+    arm.record(Path("log.csv"), arm.first_plan, 0.0)
+    return arm
+
+
+def small_motion_in_degrees() -> None:
+    """Small and slow enough to be one in radians."""
+    robot = load_robot_model(written_arm())
+    plan = truth_of(robot, seed=4).plan.scale_amplitudes(0.15)
+    log = truth_of(robot, seed=4, played=plan).log
+    log = replace(log, q=np.degrees(log.q), qd=None)
+    write_measurement_csv(Path("log.csv"), robot.joint_names, [log])
+
+
+def servos() -> None:
+    """Positions and goals of servos, without torque."""
+    robot = load_robot_model(written_arm(servo_logs.XML))
+    time, goals = servo_logs.sines_and_steps()
+    positions = servo_logs.positions(robot, time, goals)
+    servo_logs.write(Path("log.csv"), time, positions, goals)
+
+
+def two_arms() -> None:
+    written_arm(small_arms.TWO_ARMS)
+
+
+def arm_in_tonnes() -> None:
+    light = urdf.inertial(1e-3, inertia="1e-5 2e-5 2.5e-5")
+    links = dict.fromkeys(("l1", "l2", "l3"), light)
+    written_arm(urdf.robot(urdf.serial(links)), "arm.urdf")
+
+
+def arm_on_a_wall() -> None:
+    """The base is turned by a quarter, and the model does not say so."""
+    robot = load_robot_model(written_arm())
+    truth = truth_of(robot, seed=4)
+    thetas = truth.arm.thetas
+    level, turned = (
+        resting_torque(robot, truth.motion.q, thetas, np.array(gravity))
+        for gravity in ([0.0, 0.0, -9.81], [9.81, 0.0, 0.0])
+    )
+    log = replace(truth.log, tau=truth.log.tau + turned - level)
+    write_measurement_csv(Path("log.csv"), robot.joint_names, [log])
+
+
+def earlier_log() -> None:
+    """A log in degrees, and one of today."""
+    log_with(lambda log: replace(log, q=np.degrees(log.q), qd=None), "earlier.csv")()
+    log_with(lambda log: log)()
+
+
+def in_time(factor: float) -> Callable[[], None]:
+    return log_with(lambda log: replace(log, time=factor * log.time))
+
+
+SITUATIONS = {
+    "two arms": Situation(
+        ("errors --joint",), "arm.xml --duration 1", two_arms, is_fast=True
+    ),
+    "tonnes": Situation(
+        ("model.units --mass-scale",),
+        "arm.urdf --duration 1",
+        arm_in_tonnes,
+        is_fast=True,
+    ),
+    "self-test": Situation(
+        ("step: self-test passed",), "arm.xml --duration 1", true_arm(), is_fast=True
+    ),
+    "light load": Situation(
+        ("step: load not seen",),
+        "plan arm.xml --for payload --payload-reserve 0.005 --output-dir planned",
+        true_arm(),
+        ends="weigh a lighter one on scales",
+    ),
+    "planned": Situation(
+        ("step: motion planned",), "plan arm.xml --output-dir planned", true_arm()
+    ),
+    "planned for a payload": Situation(
+        ("step: motion planned for payload",),
+        "plan arm.xml --for payload --output-dir planned",
+        true_arm(),
+    ),
+    "only empty logs": Situation(
+        ("config command",), "payload arm.xml --empty log.csv", true_arm()
+    ),
+    "right log": Situation(
+        (f"step: {'log is fine'}",), "log log.csv arm.xml", true_arm()
+    ),
+    "tool": Situation(
+        ("step: part bolted on",), "identify arm.xml log.csv", true_arm()
+    ),
+    "short log": Situation(
+        ("step: further motion", "step: further motion recorded"),
+        "identify arm.xml log.csv",
+        true_arm(False, is_short=True),
+        folders=("sysid_output", "sysid_output/both"),
+    ),
+    "milliseconds": Situation(
+        ("logs.checks --units",), "log log.csv arm.xml", in_time(1e3)
+    ),
+    "degrees": Situation(
+        ("logs.checks --units",),
+        "log log.csv arm.xml",
+        log_with(lambda log: replace(log, q=np.degrees(log.q), qd=None)),
+    ),
+    "small degrees": Situation(
+        ("diagnosis.columns --units",), "log log.csv arm.xml", small_motion_in_degrees
+    ),
+    "strange titles": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml",
+        log_titled(time="t", wN_pos_x="deg", mN_torque_x="tau"),
+    ),
+    "strange currents": Situation(
+        ("logs.reader --columns", "logs.suggestion --torque-constants"),
+        "log log.csv arm.xml",
+        log_titled(time="t", wN_pos_x="q", xN_current="tau"),
+    ),
+    "currents": Situation(
+        ("logs.column_map --torque-constants",),
+        "log log.csv arm.xml",
+        log_titled(time="t", qN="q", currentN="tau"),
+    ),
+    "goals": Situation(
+        ("logs.column_map --torque-from",), "log log.csv arm.xml", servos
+    ),
+    "torque sign": Situation(
+        ("diagnosis.refusal --columns",),
+        "log log.csv arm.xml",
+        log_with(lambda log: replace(log, tau=log.tau * [1.0, 1.0, -1.0, 1.0])),
+    ),
+    "torques of another size": Situation(
+        ("diagnosis.scales --torque-scale", "diagnosis.scales --mass-scale"),
+        "log log.csv arm.xml",
+        log_with(lambda log: replace(log, tau=0.5 * log.tau)),
+    ),
+    "currents as torques": Situation(
+        ("diagnosis.scales --torque-scale", "step: torque scales unknown"),
+        "log log.csv arm.xml",
+        arm_with_currents,
+    ),
+    "on a wall": Situation(
+        ("diagnosis.column_search --gravity",), "log log.csv arm.xml", arm_on_a_wall
+    ),
+    "earlier log in degrees": Situation(
+        ("pipeline.comparison command",),
+        "check arm.xml log.csv --since earlier.csv",
+        earlier_log,
+    ),
+}
+"""Name to situation."""
+
+
+def test_everything_that_prints_a_command_has_a_situation():
+    covered = {source for each in SITUATIONS.values() for source in each.sources}
+    assert sources() == covered | {*ELSEWHERE}
+    assert not covered & {*ELSEWHERE}
+    for test in ELSEWHERE.values():
+        assert (Path(__file__).parent / test).is_file()
+
+
+def printed_lines(output: str) -> list[str]:
+    """Return the commands of an output; one with a blank to be filled in is a form, and none."""
+    lines = re.findall("^  (robot-sysid .+)$", output, re.MULTILINE)
+    return [line for line in lines if "?" not in line]
+
+
+def shows(source: str, outputs: str) -> bool:
+    """Return whether a source has printed one of its commands."""
+    _, _, state = source.partition("step: ")
+    if state:
+        sentence = STEPS[state].sentence
+        words = STEPS[state].command.split("{")[0]
+        return (
+            sentence.partition("{")[0] in outputs or f"  robot-sysid {words}" in outputs
+        )
+    words = source.split()[1]
+    lines = "\n".join(printed_lines(outputs))
+    return ("robot-sysid " if words == "command" else words) in lines
+
+
+def error_elsewhere(folder: str) -> float:
+    """Return the torque error to expect of a result on other motions, over the torque."""
+    content = json.loads((Path(folder) / "params.json").read_text())
+    return float(content["file"]["elsewhere"]["after"]["relative_error"])
+
+
+class Follower:
+    """Runs printed commands until they lead to a result; keeps all that was printed."""
+
+    def __init__(self, situation: Situation, arm: TrueArm | None) -> None:
+        self._ends = situation.ends
+        self._walk = None if arm is None else Walk(arm)
+        self._tried: set[str] = set()
+        self.outputs = ""
+
+    def run(self, line: str) -> Step:
+        """Run a command, with the recordings that it names and that do not exist yet."""
+        self._tried.add(line)
+        if self._walk is not None:
+            self._walk.record_missing(line)
+        step = Step(line, *run_here(line, is_hasty=True))
+        self.outputs += step.output
+        return step
+
+    def leads_on(self, line: str, is_step: bool, depth: int = 1) -> bool:
+        """Return whether a command ends well, of a refusal if need be over others that it prints.
+
+        Args:
+            line: the command.
+            is_step: whether it is a next step, which is refused by nothing.
+            depth: how many commands it is away from the first one.
+        """
+        step = self.run(line)
+        if step.code == 0:
+            return True
+        if self._ends and self._ends in step.output:
+            return True
+        further = [
+            each for each in printed_lines(step.output) if each not in self._tried
+        ]
+        if is_step or depth == MOST_COMMANDS:
+            return False
+        return any(self.leads_on(each, is_step, depth + 1) for each in further)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if each.is_fast else pytest.mark.slow)
+        for name, each in SITUATIONS.items()
+    ],
+)
+def test_every_printed_command_leads_on(name, tmp_path, monkeypatch):
+    folder = tmp_path / "my arm"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    situation = SITUATIONS[name]
+    follower = Follower(situation, situation.prepare())
+    first = follower.run(f"robot-sysid {situation.words}")
+    lines = printed_lines(first.output)
+    assert lines, first.output
+    for line in lines:
+        assert follower.leads_on(line, first.code == 0), (line, follower.outputs)
+    for source in situation.sources:
+        assert shows(source, follower.outputs), (source, follower.outputs)
+    before, after = situation.folders
+    if after:
+        assert error_elsewhere(after) < error_elsewhere(before)
