@@ -53,6 +53,7 @@ _NAMES = {
         "InertialParameters",
         "JointFriction",
         "RobotModel",
+        "StatedBodies",
         "SubtreeBody",
     ),
     "records.data": (

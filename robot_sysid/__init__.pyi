@@ -35,6 +35,7 @@ from robot_sysid.records.arm import ArmLink as ArmLink
 from robot_sysid.records.arm import InertialParameters as InertialParameters
 from robot_sysid.records.arm import JointFriction as JointFriction
 from robot_sysid.records.arm import RobotModel as RobotModel
+from robot_sysid.records.arm import StatedBodies as StatedBodies
 from robot_sysid.records.arm import SubtreeBody as SubtreeBody
 from robot_sysid.records.data import ColumnMap as ColumnMap
 from robot_sysid.records.data import DataOrigin as DataOrigin

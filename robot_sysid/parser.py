@@ -33,6 +33,7 @@ from robot_sysid.model.chain import (
 from robot_sysid.model.compilation import (
     CompiledModel,
     InMemory,
+    compile_as_drawn,
     compile_model,
     is_in_memory,
 )
@@ -44,7 +45,9 @@ from robot_sysid.model.dry_friction import (
 from robot_sysid.model.stated import placeholder_notes, with_references
 from robot_sysid.model.ties import refuse_tied_joints
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
+from robot_sysid.model.unstated import lacks_masses, with_bodies_of_geometry
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.messages import LeastMassGiven
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     Factor,
@@ -62,6 +65,7 @@ def load_robot_model(
     max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
     mass_scale: Factor | None = None,
+    total_mass: float | None = None,
     gravity: Sequence[float] | Array | None = None,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
@@ -74,6 +78,9 @@ def load_robot_model(
             limit in the model counts.
         keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
         mass_scale: by which all its masses and moments of inertia are multiplied.
+        total_mass: what the arm weighs with its base, by volume of its links, whatever masses the
+            file states [kg]; default as the file says, or as arms of its size weigh where it states
+            none.
         gravity: (3,) direction in which it acts, of any length, in the model's axes; default as
             the file says. How large it is, the file says.
 
@@ -98,15 +105,20 @@ def load_robot_model(
         qpos[:] = mj_model.key_qpos[keyframe_id]
     path = Path("model" if is_in_memory(model) else model)
     robot = _arm_of(compiled, chain, path, qpos, max_velocity)
+    # Who states a factor says that there are masses.
+    is_guessed = mass_scale is None and lacks_masses(robot, compiled.massless)
+    if total_mass is not None or is_guessed:
+        drawn = compile_as_drawn(model, mesh_dir)
+        robot = with_bodies_of_geometry(robot, compiled.massless, drawn, total_mass)
     robot = with_mass_scale(robot, *factor_with_error(mass_scale))
     refuse_cad_units(robot)
     if gravity is not None:
         robot = with_gravity(robot, _turned_gravity(robot, gravity))
     notes = (
-        *robot.notes,
+        *_notes_on_file(robot),
         *_notes_on_options(mass_scale, gravity),
         *_notes_on_choices(robot, carriers, joint is None, keyframe_id),
-        *placeholder_notes(robot.links),
+        *_notes_on_masses(robot, total_mass),
         *_notes_on_what_is_left_out(robot),
     )
     return replace(robot, notes=notes)
@@ -175,6 +187,30 @@ def _notes_on_options(
             mass_scale if isinstance(mass_scale, RoughFactors) else f"{mass_scale:g}"
         )
         yield f"the model's masses and moments of inertia are taken {times} times"
+
+
+def _notes_on_file(robot: RobotModel) -> Iterator[str]:
+    """Yield what the reader of the file had to assume, as far as it still holds."""
+    for note in robot.notes:
+        if not (robot.lacks_masses and isinstance(note, LeastMassGiven)):
+            yield note
+
+
+def _notes_on_masses(robot: RobotModel, total_mass: float | None) -> Iterator[str]:
+    """Yield sentences on what the model does not state of its links."""
+    if not robot.lacks_masses:
+        yield from placeholder_notes(robot.links)
+        return
+    stand = "bodies of the links' geometry stand for the model's masses"
+    errors = "each with an error as large as itself"
+    if total_mass is not None:
+        yield f"{stand}, {robot.mass:.3g} kg of the arm's {total_mass:g} kg, {errors}"
+        return
+    yield (
+        f"the model states no masses, or one number for all links: {stand}, {robot.mass:.3g} kg in "
+        f"all as arms of its size weigh, {errors}; {option_name('total_mass', 'KG')} takes what "
+        "the arm's data sheet says"
+    )
 
 
 def _notes_on_choices(

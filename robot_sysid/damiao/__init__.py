@@ -24,6 +24,7 @@ from robot_sysid.damiao.checks.after_run import judge_run, recorded_plan
 from robot_sysid.damiao.checks.preflight import motor_ratings, require_playable
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.player import PlayReport, StopRequest
+from robot_sysid.damiao.safety.holding import refuse_guessed_masses
 from robot_sysid.damiao.trajectory import export_damiao_trajectory
 from robot_sysid.damiao.weight_file import export_weight
 from robot_sysid.errors import InputError
@@ -48,6 +49,7 @@ def __dir__() -> list[str]:
 
 def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
     """Return the motors that options state, for plans; InputError where they do not fit the arm."""
+    refuse_guessed_masses(robot)
     joints = damiao_joints(options.motor_type, robot.n_joints, robot.joint_names)
     frames = np.array([joint.spec.limits for joint in joints])
     _, vmax, tmax = frames.T

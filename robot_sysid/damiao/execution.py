@@ -40,6 +40,7 @@ from robot_sysid.damiao.safety.holding import (
     HoldingTorque,
     file_holding,
     gravity_holding,
+    refuse_guessed_masses,
 )
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
@@ -347,7 +348,9 @@ class MotorRun:
         from robot_sysid.parser import load_robot_model
 
         options = given_values(self.options.model)
-        return load_robot_model(path, max_velocity=np.inf, **options)
+        robot = load_robot_model(path, max_velocity=np.inf, **options)
+        refuse_guessed_masses(robot)
+        return robot
 
     @contextlib.contextmanager
     def open_simulated(self, plan: Plan) -> Iterator[GuardedLink]:

@@ -64,6 +64,16 @@ NEEDS = (OF_SAMPLES, OF_TORQUE, (*OF_COLUMNS, FaultName.ZERO, FaultName.DELAY))
 """Faults by what of a log they need, the least first: its samples, whether its torques are such of
 this arm, its columns. All others need the arm's model to be right. Where two are found, what needs
 less is wrong first, and what needs more may be its consequence."""
+OF_RIGHT_LINKS = (
+    FaultName.MODEL,
+    FaultName.ZERO,
+    FaultName.TILT,
+    FaultName.FORCE,
+    FaultName.CLOCK,
+    FaultName.TORQUE_SCALE,
+)
+"""Faults that show beside the model's links, and only where these are about right: bodies of the
+links' geometry, which may be off by themselves, explain what they would."""
 LEAST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
 LEAST_ROWS = 26
@@ -153,7 +163,14 @@ def judge(
     progress.advance(TRYING, 0.0, 1.0, "")
     explained = findings(judged, evidence)
     progress.advance(TRYING, 1.0, 1.0, "")
-    wrong = [*explained.findings] or [*slow_findings(robot, recordings)]
+    wrong = [*explained.findings]
+    if robot.lacks_masses:
+        wrong = [
+            each
+            for each in wrong
+            if each.about not in OF_RIGHT_LINKS or each.is_common_factor
+        ]
+    wrong = wrong or [*slow_findings(robot, recordings)]
     if not any(finding.about in DOUBTFUL for finding in [*found, *wrong]):
         # Contacts that come back are a doubt, unless something else is wrong.
         touched = [each for log in explained.right.recordings for each in log.touched]

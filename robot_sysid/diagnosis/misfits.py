@@ -425,6 +425,9 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
         left += float(np.mean(scales))
     found = {link: left * fitted.by_name[arm.links[link][0]] for link in links}
     lost = [link for link, mass in masses.items() if found[link] < LOST * mass]
+    if arm.robot.lacks_masses and sum(found.values()) > LOST * sum(masses.values()):
+        # A single one shows little where geometry stands for its mass.
+        lost = []
     share = sum(masses[link] for link in lost) / max(sum(masses.values()), 1e-300)
     if share > MOST_LINKS:
         link = max(lost, key=lambda each: masses[each])

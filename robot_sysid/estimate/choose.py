@@ -242,14 +242,14 @@ def odd_zero(fitted: Fit) -> str | None:
     Centres of mass of the links that a joint carries take up most of a wrong zero, so that no
     torque is left that would name it; held at the usual zero, they are many of their errors off. A
     tilt of the base is the simpler cause where it explains as much. A log that does not fit shows
-    nothing of that.
+    nothing of that, nor one of an arm whose model states no centres of mass.
     """
     question = fitted.question
     is_compared = question.changed is not None or question.differing is not None
     spans = [s for t, s in fitted.equations.spans if t.cause == ZEROS]
     if question.loaded or is_compared or not spans or not fitted.arm.others:
         return None
-    if fitted.unexplained_share > UNEXPLAINED:
+    if fitted.unexplained_share > UNEXPLAINED or fitted.arm.robot.lacks_masses:
         return None
     offers = Offers(fitted)
     size = 1e-3 * np.array([[usual_errors.WRONG_ZERO]])

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from robot_sysid import spatial
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
+from robot_sysid.estimate.links import last_link_scale
 from robot_sysid.estimate.questions import (
     Question,
     arm_question,
@@ -46,7 +47,7 @@ from robot_sysid.estimate.terms import (
     Point,
     Term,
 )
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
@@ -778,18 +779,6 @@ class Fit(Problem):
         """Return rows (K of all recordings, ...) as those of each recording."""
         ends = np.cumsum([len(recording) for recording in self.recordings])
         return np.split(rows, ends[:-1])
-
-
-def last_link_scale(robot: RobotModel) -> Array:
-    """Return how far off the last link (10,) may be, of which nothing is known: as a link is large.
-
-    That is the model's own, or a usual one of the arm: what is bolted to a flange of 0.2 kg may
-    weigh as much as any other link, but not a hundred times that.
-    """
-    masses = robot.thetas[:, 0]
-    length = robot.length / robot.n_joints
-    usual = spatial.parameter_scale(float(np.mean(masses[masses > 0.0])), length)
-    return np.maximum(robot.prior.scale, usual)
 
 
 def settled_values(fitted: Fit) -> dict[str, float]:

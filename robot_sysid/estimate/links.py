@@ -264,6 +264,18 @@ def own_errors(link: ArmLink, least_mass: float) -> Array:
     return np.column_stack([*columns, *(spread * moment * np.eye(10)[4:])])
 
 
+def last_link_scale(robot: RobotModel) -> Array:
+    """Return how far off the last link (10,) may be, of which nothing is known: as a link is large.
+
+    That is the model's own, or a usual one of the arm: what is bolted to a flange of 0.2 kg may
+    weigh as much as any other link, but not a hundred times that.
+    """
+    masses = robot.thetas[:, 0]
+    length = robot.length / robot.n_joints
+    usual = spatial.parameter_scale(float(np.mean(masses[masses > 0.0])), length)
+    return np.maximum(robot.prior.scale, usual)
+
+
 @dataclass(frozen=True)
 class CentreOff:
     """How far a centre of mass is off, in the direction in which it is off for sure by most.

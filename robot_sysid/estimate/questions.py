@@ -17,6 +17,7 @@ from robot_sysid.estimate.links import (
     EXPECTED,
     LinkScales,
     OddNumber,
+    last_link_scale,
     link_factor,
 )
 from robot_sysid.estimate.options import EstimationOptions
@@ -233,12 +234,17 @@ def _sizes(term: Term, question: Question, usual: Array | float, wrong: float) -
 def _last_link(arm: ArmTerms, question: Question) -> Term:
     """Return the term of the last link, which is free unless it is compared with the model.
 
-    Then it is as far off as links usually are, or as the others are found to be.
+    Then it is as far off as links usually are, or as the others are found to be. Where bodies of
+    the links' geometry stand for all, it is as far off as nothing known of it allows: free, it took
+    up what links before it have wrong, and weighed less than nothing.
     """
     term = arm.terms[LAST_LINK]
     differing = question.differing
     if differing is None or PARAMETER_NAMES[0] in differing:
-        return term
+        if not arm.robot.lacks_masses:
+            return term
+        spread = last_link_scale(arm.robot)
+        return replace(term, prior=Prior(term.reference, np.diag(spread)))
     scales = np.maximum(astuple(question.link_scales), astuple(EXPECTED))
     share = PER_CENT * max(question.options.priors.link, usual_errors.LINK)
     last = [arm.robot.n_joints - 1]

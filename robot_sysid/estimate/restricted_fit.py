@@ -16,14 +16,9 @@ import numpy as np
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import BEND, OFFSET, POLYNOMIAL, ROTOR, TERMS
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
-from robot_sysid.estimate.fit import (
-    Fit,
-    LeftOut,
-    last_link_scale,
-    settled_errors,
-    settled_values,
-)
+from robot_sysid.estimate.fit import Fit, LeftOut, settled_errors, settled_values
 from robot_sysid.estimate.held_out import error_in, validation, validation_as_used
+from robot_sysid.estimate.links import last_link_scale
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import (
     FILE_FRICTION,

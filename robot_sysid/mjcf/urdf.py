@@ -29,7 +29,7 @@ from robot_sysid.mjcf.wrong_digits import (
     wrong_number,
 )
 from robot_sysid.records import Array
-from robot_sysid.records.messages import MeshesLeftOut
+from robot_sysid.records.messages import LeastMassGiven, MeshesLeftOut
 from robot_sysid.wording import option_name
 
 # Suffixes of the mesh files that MuJoCo reads.
@@ -72,10 +72,11 @@ def make_compilable(document: ModelDocument) -> tuple[str, ...]:
     names = give_minimum(document)
     if names:
         listed = "', '".join(names)
-        notes.append(
+        text = (
             f"moving link '{listed}' has no mass, or no inertia, which MuJoCo refuses; where it "
             f"has none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg·m²"
         )
+        notes.append(LeastMassGiven(text))
     return tuple(notes)
 
 
@@ -83,12 +84,15 @@ def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:
     """Remove shapes with an unusable mesh, make the paths of all others absolute; yield notes.
 
     A shape is a link's <visual> or <collision>. ModelError where the inertia of a link that moves
-    would be computed from the removed shape: the link has no <inertial>, or ``inertiafromgeom``
-    overrules it.
+    would be computed from the removed shape: the link has no <inertial>, as other links have, or
+    ``inertiafromgeom`` overrules it.
     """
     from_geometry = document.compiler_setting("inertiafromgeom") == "true"
     assets = {asset.node: asset for asset in find_assets(document)}
     moving_links = _moving_links(document)
+    # Where most links state no mass, the way between their joints says how large they are.
+    massless = moving_links & links_without_mass(document)
+    has_masses = 2 * len(massless) <= len(moving_links)
     collisions = document.root.findall("link/collision")
     removed = set()
     for shape in (*document.root.findall("link/visual"), *collisions):
@@ -100,7 +104,7 @@ def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:
         link.remove(shape)
         if shape.tag == "collision":
             name = mesh.get("filename")
-            is_weighed = from_geometry or link.find("inertial") is None
+            is_weighed = from_geometry or (has_masses and link.find("inertial") is None)
             if is_weighed and link.get("name") in moving_links:
                 raise ModelError(
                     f"{document.path}: collision mesh {name} of link '{link.get('name')}' is "
@@ -174,6 +178,30 @@ def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> li
         put_inertial(link, urdf_inertial_about_com(mass, _origin(link, "xyz"), inertia))
         names.append(str(name))
     return names
+
+
+def links_without_mass(document: ModelDocument) -> frozenset[str]:
+    """Return the names of links that state no mass, or none that is more than nothing.
+
+    MuJoCo computes that of a link without <inertial> from its shapes, as if they were of water.
+    """
+    return frozenset(
+        str(link.get("name"))
+        for link in document.root.findall("link")
+        if _mass(link) <= 0.0
+    )
+
+
+def collide_as_drawn(document: ModelDocument) -> bool:
+    """Make what is only drawn of links without <collision> their shapes; return whether any is."""
+    is_changed = False
+    for link in document.root.findall("link"):
+        if link.find("collision") is not None:
+            continue
+        for shape in link.findall("visual"):
+            shape.tag = "collision"
+            is_changed = True
+    return is_changed
 
 
 def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Array]]:

@@ -40,6 +40,13 @@ class ModelOptions(OptionRecord):
         "FACTOR",
         check=check_scale,
     )
+    total_mass: Optional[float] = option(
+        None,
+        "mass of the arm with its base, from its data sheet, where the model states no masses: "
+        "it is spread over the links by volume",
+        "KG [kg] > 0",
+        default_text="what the model says",
+    )
     gravity: Optional[tuple[float, ...]] = option(
         None,
         "direction in which gravity acts, in the model's axes: of an arm that hangs, or is mounted "
@@ -56,5 +63,5 @@ class ModelOptions(OptionRecord):
     )
 
 
-OF_LOG = ("mesh_dir", "joint", "mass_scale", "gravity")
+OF_LOG = ("mesh_dir", "joint", "mass_scale", "total_mass", "gravity")
 """Keys of the options of a model that is compared with a log, and is not moved."""

@@ -26,7 +26,10 @@ from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.inertial import format_number, format_numbers
 from robot_sysid.mjcf.urdf import (
     LARGEST,
+    collide_as_drawn,
+    give_minimum,
     link_inertias,
+    links_without_mass,
     make_compilable,
     mimics,
     velocity_limits,
@@ -77,6 +80,7 @@ class CompiledModel:
         kind: language of the file, "mjcf" or "urdf".
         velocity_limits: joint name to the speed limit that a URDF states [rad/s or m/s].
         mimics: joint name to that of the joint which a URDF says it follows.
+        massless: names of the links of which a URDF states no mass.
     """
 
     mj_model: Any
@@ -85,6 +89,7 @@ class CompiledModel:
     kind: str = "mjcf"
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
     mimics: Mapping[str, str] = field(default_factory=dict)
+    massless: frozenset[str] = frozenset()
 
 
 @contextlib.contextmanager
@@ -138,6 +143,7 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
         )
     # Refuses pipes, for which MuJoCo would wait for ever.
     find_assets(document)
+    massless = links_without_mass(document) if document.is_urdf else frozenset()
     with captured_warnings() as warnings:
         mj_model, notes = _compile(document)
     _check_values(mj_model, document)
@@ -148,7 +154,28 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
         "urdf" if document.is_urdf else "mjcf",
         velocity_limits(document),
         mimics(document),
+        massless,
     )
+
+
+def compile_as_drawn(model: Any, mesh_dir: Any = None) -> Any:
+    """Return the ``MjModel`` of a URDF in which what is drawn of links without shapes is a shape.
+
+    It has the same bodies. None where the model is no URDF, draws nothing of such links, or what it
+    draws is no body that MuJoCo takes.
+    """
+    if is_in_memory(model):
+        return None
+    document = read_document(Path(model), mesh_dir)
+    if not document.is_urdf:
+        return None
+    make_compilable(document)
+    if not collide_as_drawn(document):
+        return None
+    give_minimum(document)
+    with captured_warnings(), contextlib.suppress(*FAILURES):
+        return mujoco.MjModel.from_xml_string(document.text().decode())
+    return None
 
 
 def in_joints(mj_model: Any) -> Any:

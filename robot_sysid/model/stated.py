@@ -11,8 +11,8 @@ next.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -60,24 +60,24 @@ def with_references(
         return tuple(links)
     median = np.median(masses[masses >= LEAST_SHARE * np.max(masses)])
     data = data_at_pose(mj_model, qpos)
-    steps = [*(link.translation for link in links[1:]), np.zeros(3)]
-    lengths = np.linalg.norm(steps, axis=1).tolist()
-    copied = _copied_kinds(links)
+    copied = copied_kinds(links)
     result = []
-    for link, step, length in zip(links, steps, lengths):
-        size = max(length, LEAST_SIZE_SHARE * sum(lengths), LEAST_SIZE)
-        rod = 0.5 * step, ROD_MOMENT * size**2 * np.eye(3)
-        centre, gyration = _boxes(mj_model, data, link.bodies) or rod
+    for link, step, size in zip(links, steps_to_next(links), link_sizes(links)):
+        rod = Shape(0.0, 0.5 * step, ROD_MOMENT * size**2 * np.eye(3))
+        shape = shape_of(mj_model, data, link.bodies) or rod
+        centre = shape.centre
+        gyration = shape.gyration
         mass, com, inertia = spatial.com_from_theta(link.theta)
-        unknown = {*copied[link.body_name]}
+        copied_of_link = _kinds_of_link(link, copied)
+        unknown = {*copied_of_link}
         odd = set()
         if mass < LEAST_SHARE * median:
             unknown |= {MASS, INERTIA}
-        share = np.trace(inertia) / max(mass * np.trace(rod[1]), 1e-300)
+        share = np.trace(inertia) / max(mass * np.trace(rod.gyration), 1e-300)
         if share < LEAST_MOMENT_SHARE or not spatial.is_consistent(link.theta):
             unknown.add(INERTIA)
         if LEAST_SHARE < share < LEAST_MOMENT_SHARE or share > LARGEST_MOMENT_SHARE:
-            odd |= {INERTIA} - copied[link.body_name]
+            odd |= {INERTIA} - copied_of_link
         unknown |= odd
         is_at_joint = np.linalg.norm(com) < LEAST_SHARE * size
         if is_at_joint and np.linalg.norm(centre) > LEAST_OFF_CENTRE * size:
@@ -102,39 +102,70 @@ def with_references(
     return tuple(result)
 
 
-def _copied_kinds(links: Sequence[ArmLink]) -> dict[str, set[str]]:
-    """Return body name to what of it was copied from link to link, mass or inertia.
+def steps_to_next(links: Sequence[ArmLink]) -> Array:
+    """Return the way (n, 3) from the joint of each link to the next one [m]; zero for the last."""
+    return np.array([*(link.translation for link in links[1:]), np.zeros(3)])
 
-    Parts of one kind have one inertia and one mass. An inertia that links of different masses have,
-    or that is the same about all axes, was copied; so was a mass that comes with it in all links.
+
+def link_sizes(links: Sequence[ArmLink]) -> Array:
+    """Return the sizes (n,) of links by the distances between their joints [m]."""
+    lengths = np.linalg.norm(steps_to_next(links), axis=1)
+    least = max(LEAST_SIZE_SHARE * float(np.sum(lengths)), LEAST_SIZE)
+    return np.maximum(lengths, least)
+
+
+def copied_kinds(links: Sequence[ArmLink]) -> dict[int, set[str]]:
+    """Return MuJoCo id of a body to what of it was copied from body to body, mass or inertia.
+
+    Parts of one kind have one inertia and one mass. An inertia that bodies of different masses
+    have, or that is the same about all axes, was copied; so was a mass that comes with it in all
+    bodies.
     """
     groups = defaultdict(list)
-    copied: dict[str, set[str]] = defaultdict(set)
-    present = [link for link in links if link.has_mass]
-    for link in present:
-        moments = InertialParameters(link.theta).principal_moments
+    copied: dict[int, set[str]] = {}
+    present = [b for link in links for b in link.bodies if np.any(b.theta)]
+    for body in present:
+        moments = InertialParameters(body.theta).principal_moments
         groups[f"{moments[-1]:.4g}"].append(
-            (link, np.ptp(moments) < 1e-6 * moments[-1])
+            (body, np.ptp(moments) < 1e-6 * moments[-1])
         )
     least = min(ALIKE, max(len(present), 2))
     for members in groups.values():
-        masses = {link.theta[0] for link, _ in members}
+        masses = {f"{body.theta[0]:.9g}" for body, _ in members}
         is_ball = all(is_round for _, is_round in members)
         if len(members) >= least and (is_ball or len(masses) > 1):
             is_whole = len(masses) == 1 and len(members) == len(present)
-            for link, _ in members:
-                copied[link.body_name] |= {MASS, INERTIA} if is_whole else {INERTIA}
+            for body, _ in members:
+                copied[body.body_id] = {MASS, INERTIA} if is_whole else {INERTIA}
     return copied
 
 
-def _boxes(
-    mj_model: Any, data: Any, bodies: Sequence[SubtreeBody]
-) -> tuple[Array, Array] | None:
-    """Return what the boxes around the shapes of bodies have if they are filled evenly.
+def _kinds_of_link(link: ArmLink, copied: Mapping[int, set[str]]) -> set[str]:
+    """Return what was copied of all bodies of a link that have mass."""
+    kinds = {*KINDS}
+    for body in link.bodies:
+        if np.any(body.theta):
+            kinds &= copied.get(body.body_id, set())
+    return kinds if link.has_mass else set()
 
-    It is (centre (3,) in the frame of the first body [m], inertia about it (3, 3) over the mass
-    [m^2]); None where there is no shape.
+
+@dataclass(frozen=True)
+class Shape:
+    """What the boxes around the shapes of bodies have if they are filled evenly.
+
+    Attributes:
+        volume: of all boxes [m^3].
+        centre: (3,) in the frame of the first body [m].
+        gyration: (3, 3) inertia about the centre over the mass [m^2].
     """
+
+    volume: float
+    centre: Array
+    gyration: Array
+
+
+def shape_of(mj_model: Any, data: Any, bodies: Sequence[SubtreeBody]) -> Shape | None:
+    """Return the shape of bodies, from their geoms; None where there are none."""
     ids = [body.body_id for body in bodies]
     volume = 0.0
     theta = np.zeros(spatial.N_INERTIAL)
@@ -142,7 +173,7 @@ def _boxes(
         middle, half = np.split(mj_model.geom_aabb[geom], 2)
         if mj_model.geom_type[geom] in GROUND_TYPES or not np.all(half > 0.0):
             continue
-        box = np.prod(half)
+        box = 8.0 * np.prod(half)
         inertia = box / 3.0 * (half @ half * np.eye(3) - np.diag(half**2))
         own = spatial.theta_from_com(box, middle, inertia)
         pose = pose_in(data.geom(geom), data.body(ids[0]))
@@ -151,7 +182,7 @@ def _boxes(
     if volume == 0.0:
         return None
     _, centre, inertia = spatial.com_from_theta(theta)
-    return centre, inertia / volume
+    return Shape(float(volume), centre, inertia / volume)
 
 
 def placeholder_notes(links: Sequence[ArmLink]) -> Iterator[str]:

@@ -20,7 +20,7 @@ from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.model.stated import LEAST_SHARE
-from robot_sysid.records import RobotModel
+from robot_sysid.records import RobotModel, StatedBodies
 
 FOAM = 0.1
 """Mass of an arm over the cube of its length below which it would be foam [kg/m^3]: public arms
@@ -39,6 +39,43 @@ link's: of 138 links of public models it is 1.6 times the link's own length at m
 for metres are a factor of 1000."""
 DENSEST = 2e5
 """Mass over the cube of the radius of gyration of a sphere of the densest metal [kg/m^3]."""
+
+
+BODY_NUMBERS = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_sameframe",
+    "body_simple",
+    "dof_simplenum",
+)
+"""Fields of a compiled model that ``model.bodies.write_body`` changes."""
+
+
+def stated_bodies(robot: RobotModel) -> StatedBodies:
+    """Return the bodies of an arm as they are, to have them again where others take their place."""
+    numbers = {name: getattr(robot.mj_model, name).copy() for name in BODY_NUMBERS}
+    return StatedBodies(numbers, robot.links)
+
+
+def as_stated(robot: RobotModel) -> RobotModel:
+    """Return an arm with the bodies that its file states."""
+    stated = robot.stated
+    if stated is None:
+        return robot
+    mj_model = copy.copy(robot.mj_model)
+    for name, values in stated.numbers.items():
+        getattr(mj_model, name)[:] = values
+    mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
+    return replace(
+        robot,
+        mj_model=mj_model,
+        links=stated.links,
+        mass_scale=1.0,
+        stated=None,
+        lacks_masses=False,
+    )
 
 
 def with_mass_scale(robot: RobotModel, factor: float, error: float = 0.0) -> RobotModel:
@@ -65,7 +102,13 @@ def with_mass_scale(robot: RobotModel, factor: float, error: float = 0.0) -> Rob
             )
         )
     scale = factor * robot.mass_scale
-    return replace(robot, mj_model=mj_model, links=tuple(links), mass_scale=scale)
+    return replace(
+        robot,
+        mj_model=mj_model,
+        links=tuple(links),
+        mass_scale=scale,
+        stated=robot.stated or stated_bodies(robot),
+    )
 
 
 def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:

@@ -340,7 +340,7 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Change]:
     if len({run.content["model"]["sha256"] for run in runs}) > 1:
         raise InputError("the runs are of different model files")
     configs = _configs_of(runs)
-    for key in ("mass_scale", "gravity"):
+    for key in ("mass_scale", "total_mass", "gravity"):
         if len({getattr(config.model, key) for config in configs}) > 1:
             raise InputError(f"the runs differ in {option_name(key)}")
     robot = load_arm(configs[0], Progress())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -226,13 +226,26 @@ class JointFriction:
         return self.coulomb + np.sum(np.abs(self.shared), axis=0)
 
 
+@dataclass(frozen=True)
+class StatedBodies:
+    """Bodies as a model file states them, where an estimate has others in their place.
+
+    Attributes:
+        numbers: name of each field of the compiled model that has bodies to its values.
+        links: the arm's links with them, base to terminal.
+    """
+
+    numbers: Mapping[str, Any]
+    links: tuple[ArmLink, ...]
+
+
 @dataclass(frozen=True, repr=False)
 class RobotModel:
     """One arm as the identification sees it.
 
     Attributes:
         path: of the model file.
-        mj_model: the compiled MuJoCo model, exactly as the file describes it.
+        mj_model: the compiled MuJoCo model, as the file describes it but for ``stated``.
         joint_names: the n chain joints, base to terminal ("#3" for a nameless joint with id 3).
         qpos_index, dof_index: (n,) addresses of the chain joints in qpos and qvel.
         reference_qpos: (nq,) configuration at which joints outside the chain are held.
@@ -246,6 +259,9 @@ class RobotModel:
         gravity: (3,) in place of that of the file [m/s^2]; None for the file's.
         stated_speeds: (n,) speed limits that the file states [rad/s or m/s], infinite where it
             states none; the limits above may be the user's. None for none.
+        stated: the bodies that the file states, where the user's factor or a link's geometry makes
+            others of them; None where those above are the file's.
+        lacks_masses: whether bodies of the links' geometry stand for all of its links.
         notes: what the reader of the file had to assume, one sentence each.
     """
 
@@ -265,6 +281,8 @@ class RobotModel:
     mass_error: float = 0.0
     gravity: Array | None = None
     stated_speeds: Array | None = None
+    stated: StatedBodies | None = None
+    lacks_masses: bool = False
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

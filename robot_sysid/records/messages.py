@@ -156,6 +156,10 @@ class MeshesLeftOut(str):
     """A note that collision meshes, which MuJoCo does not find or read, were left out."""
 
 
+class LeastMassGiven(str):
+    """A note that links without mass got the least that MuJoCo takes."""
+
+
 class Level(Enum):
     """Weight of a remark, in the order in which remarks are printed.
 

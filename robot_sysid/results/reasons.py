@@ -125,14 +125,19 @@ def impossible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[str]:
     # Largest distances from the link's origin and from the arm's first joint [m].
     reach = link_reach(robot)
     arm = reach + robot.reach
-    slack = INTERVAL * np.linalg.norm(errors[1:4]) / link.mass
-    distance = np.linalg.norm(link.com)
+    # A mass that may be far larger makes both smaller.
+    mass = link.mass
+    if np.isfinite(errors[0]):
+        mass += INTERVAL * errors[0]
+    slack = INTERVAL * np.linalg.norm(errors[1:4]) / mass
+    distance = np.linalg.norm(link.first_moment) / mass
     where = f"on a link that reaches {reach:.2g} m"
     if distance - slack > reach + TOOL_REACH * arm:
-        yield f"the centre of mass is {distance:.2g} m away {where}"
+        stated = np.linalg.norm(link.com)
+        yield f"the centre of mass is {stated:.2g} m away {where}"
     moment = link.principal_moments[-1]
     slack = INTERVAL * np.max(errors[4:10])
-    if moment - slack > link.mass * (reach + TOOL_GYRATION * arm) ** 2:
+    if moment - slack > mass * (reach + TOOL_GYRATION * arm) ** 2:
         radius = np.sqrt(moment / link.mass)
         yield f"the radius of gyration is {radius:.2g} m {where}"
     ratio = link.mass / robot.prior.mass

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,9 +42,9 @@ from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.model.dry_friction import SPRING_NUMBERS, has_lugre, yields
-from robot_sysid.model.units import with_mass_scale
+from robot_sysid.model.units import as_stated
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, RobotModel, SubtreeBody
+from robot_sysid.records import ArmLink, Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import with_error
 from robot_sysid.records.quantities import FILE
 from robot_sysid.results import verification
@@ -84,8 +84,7 @@ def write_model(
     file = result.file
     payload = result.payload
     thetas = result.thetas.copy()
-    scaled, target = _arm_of_kind(result.robot, file_kind, target)
-    robot = with_mass_scale(scaled, 1.0 / scaled.mass_scale)
+    robot, target = _arm_of_kind(result.robot, file_kind, target)
     elements = []
     for index, name in enumerate(robot.joint_names):
         stated = [float(term.stated_value(robot)[index]) for term in POLYNOMIAL]
@@ -113,10 +112,11 @@ def write_model(
         else:
             thetas[-1] += theta
             comment = f"with {text} in it"
-    bodies, written_thetas, notes = _body_changes(scaled, thetas, comment)
+    bodies, written_thetas, notes = _body_changes(
+        robot, result.robot.links, thetas, comment
+    )
     written_thetas[-1] += theta_beside
-    # What is not identified, such as fingers, is of the user's factor, too.
-    bodies += tuple(_scaled_bodies(scaled, {body.body_id for body in bodies}))
+    bodies += tuple(_other_changes(robot, result.robot, bodies))
     if robot.kind == "mjcf":
         elements += _tendon_changes(robot, result, source)
     bodies += new_bodies
@@ -126,16 +126,6 @@ def write_model(
     if gravity is not None and file_kind == "urdf":
         notes += (_base_note(gravity),)
     return notes
-
-
-def _scaled_bodies(robot: RobotModel, changed: Collection[int]) -> Iterator[BodyChange]:
-    """Yield the bodies, but for the changed ones, of a model whose masses a factor has changed."""
-    if robot.mass_scale == 1.0:
-        return
-    model = robot.mj_model
-    for body in np.flatnonzero(model.body_mass).tolist():
-        if body not in changed:
-            yield BodyChange(body_label(model, body), body, body_theta(model, body))
 
 
 def _base_note(gravity: Array) -> str:
@@ -156,20 +146,22 @@ def _base_note(gravity: Array) -> str:
 def _arm_of_kind(
     robot: RobotModel, file_kind: str, target: ModelTarget
 ) -> tuple[RobotModel, ModelTarget]:
-    """Return (the arm as one of an MJCF where ``file_kind`` asks for it, the target of that file).
+    """Return (the arm as its file states it, as one of an MJCF where ``file_kind`` asks for it; the
+    target of that file).
 
     MuJoCo writes the MJCF, with six digits of all numbers but those of inertials. It has the masses
-    of the file, which are the arm's after the same factor. ExportError where it refuses.
+    of the file, which are read with the same factor. ExportError where it refuses.
     """
     if file_kind == robot.kind:
-        return robot, target
+        return as_stated(robot), target
     try:
         path = mjcf_of(robot.path, target.mesh_dir)
         joint = robot.terminal_joint
+        factor = robot.mass_scale if robot.mass_scale != 1.0 else None
         arm = load_robot_model(
-            path, joint=joint, mass_scale=robot.mass_scale, gravity=robot.gravity
+            path, joint=joint, mass_scale=factor, gravity=robot.gravity
         )
-        return arm, replace(target, mesh_dir=None)
+        return as_stated(arm), replace(target, mesh_dir=None)
     except InputError as error:
         raise ExportError(
             f"{robot.path} cannot be written as an MJCF: {error}"
@@ -190,12 +182,11 @@ def write_joints(
         ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
             takes other torques; the draft is withdrawn.
     """
-    scaled, target = _arm_of_kind(robot, "mjcf", target)
-    bodies = tuple(_scaled_bodies(scaled, ()))
+    of_file, target = _arm_of_kind(robot, "mjcf", target)
+    bodies = tuple(_other_changes(of_file, robot, ()))
     # No torque was measured, so there is no residual to state.
-    change = ModelChange(bodies, 0.0, elements, scaled.gravity)
-    of_file = with_mass_scale(scaled, 1.0 / scaled.mass_scale)
-    _write(of_file, change, target, scaled.thetas)
+    change = ModelChange(bodies, 0.0, elements, robot.gravity)
+    _write(of_file, change, target, robot.thetas)
 
 
 def _numbers_of(
@@ -244,15 +235,16 @@ def _tendon_changes(
 
 
 def _body_changes(
-    robot: RobotModel, thetas: Array, terminal_comment: str
+    robot: RobotModel, links: Sequence[ArmLink], thetas: Array, terminal_comment: str
 ) -> tuple[tuple[BodyChange, ...], Array, tuple[str, ...]]:
-    """Return the changes of the bodies of all links that differ from the model.
+    """Return the changes of the bodies of all links that differ from those of the estimate's start.
 
     A link may consist of several bodies; the change goes to one of them, and others may be emptied
     for it (``plan_write_back``).
 
     Args:
-        robot: the arm.
+        robot: the arm as its file states it.
+        links: base to terminal, as the estimate began with them.
         thetas: (n, 10) parameters that the links are to have.
         terminal_comment: comment on the terminal link, or "".
 
@@ -264,12 +256,14 @@ def _body_changes(
     """
     # Smallest principal moment that the model's compiler leaves alone [kg m^2].
     bound = float(read_document(robot.path).compiler_setting("boundinertia") or 0.0)
+    body_ids = _body_ids(robot)
     written_thetas = thetas.copy()
-    indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
+    started = np.array([link.theta for link in links])
+    indices = np.flatnonzero(np.any(thetas != started, axis=1)).tolist()
     changes = []
     notes: list[str] = []
     for k in indices:
-        link = robot.links[k]
+        link = links[k]
         if not link.bodies:
             raise ExportError(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
@@ -279,13 +273,47 @@ def _body_changes(
         # With the moments of inertia as they were inflated to be possible.
         written_thetas[k] = plan.composite
         notes += plan.notes
-        comment = terminal_comment if link is robot.links[-1] else ""
+        comment = terminal_comment if k == len(links) - 1 else ""
         addition = "; ".join(filter(None, (comment, *plan.notes)))
-        changes.append(BodyChange(link.body_name, link.body_id, plan.theta, addition))
+        body_id = body_ids[link.body_name]
+        changes.append(BodyChange(link.body_name, body_id, plan.theta, addition))
         for body in plan.emptied:
             addition = f"its inertia is in that of body '{link.body_name}'"
-            changes.append(BodyChange(body.name, body.body_id, np.zeros(10), addition))
+            changes.append(
+                BodyChange(body.name, body_ids[body.name], np.zeros(10), addition)
+            )
     return tuple(changes), written_thetas, tuple(notes)
+
+
+def _body_ids(robot: RobotModel) -> dict[str, int]:
+    """Return the name of each body of an arm's model, "#7" for a nameless one, to its MuJoCo id."""
+    model = robot.mj_model
+    return {body_label(model, body): body for body in range(model.nbody)}
+
+
+def _other_changes(
+    robot: RobotModel, started: RobotModel, changed: Sequence[BodyChange]
+) -> Iterator[BodyChange]:
+    """Yield changes of bodies that were not identified and yet are not those of the file.
+
+    They are of the user's factor, such as fingers, or of the links' geometry.
+
+    Args:
+        robot: the arm as its file states it.
+        started: the arm as the estimate began with it.
+        changed: changes of the bodies that were identified.
+    """
+    if started.stated is None:
+        return
+    body_ids = _body_ids(robot)
+    labels = {change.label for change in changed}
+    of_file = as_stated(started).mj_model
+    for body in range(1, started.mj_model.nbody):
+        label = body_label(started.mj_model, body)
+        theta = body_theta(started.mj_model, body)
+        is_other = np.any(theta != body_theta(of_file, body))
+        if is_other and label not in labels:
+            yield BodyChange(label, body_ids[label], theta)
 
 
 def _payload_body(

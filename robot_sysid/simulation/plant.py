@@ -117,6 +117,11 @@ def load_plant(
     except InputError as error:
         # Options are about the model: none of them remedies the plant.
         raise InputError(f"the plant {plant_path.name}: {error}") from None
+    if plant.lacks_masses:
+        raise InputError(
+            f"the plant {plant_path.name}: it states no masses, or one number for all links, and so "
+            "plays no arm; state masses in kg"
+        )
     joints, plant_joints = map(_joints_text, (robot, plant))
     if joints != plant_joints:
         raise InputError(

@@ -17,8 +17,9 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     with_gravity,
 )
-from robot_sysid.estimate.fit import last_link_scale, settled_values
+from robot_sysid.estimate.fit import settled_values
 from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.links import last_link_scale
 from robot_sysid.estimate.options import FILE_FRICTION as FRICTION
 from robot_sysid.estimate.options import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimate.options import FILE_LINKS as LINKS

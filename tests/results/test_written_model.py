@@ -515,6 +515,21 @@ def test_a_urdf_in_tonnes_becomes_an_mjcf_in_kilograms(tmp_path):
     assert_allclose(written.body_mass[-3:], [1.0, 1.0, 1.1], rtol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["urdf", "mjcf"])
+def test_bodies_that_stand_for_missing_masses_are_written(tmp_path, kind):
+    """Also of links that were not identified, whose masses the file does not state."""
+    same = urdf.inertial(mass=0.01, inertia="1e-4 1e-4 1e-4")
+    text = urdf.robot(urdf.serial(dict.fromkeys(("l1", "l2", "l3"), same)))
+    robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}))
+    thetas = robot.thetas
+    thetas[1] *= 1.2
+    result = result_of(robot, thetas=thetas)
+    written = write_and_compile(robot, result, file_kind=kind)
+    again = load_robot_model(written.path)
+    assert not again.lacks_masses
+    assert_allclose(again.thetas, thetas, rtol=1e-9, atol=1e-12)
+
+
 def test_fingers_that_leave_no_possible_gripper_are_refused(tmp_path):
     text = small_arms.serial_arm(("0 0 1", "0 1 0"), tip=small_arms.fingers())
     # The model says more of its fingers than there is of the whole gripper.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.usual_errors import LINK, WEIGHT
 
@@ -125,6 +126,18 @@ class HoldingTorque:
         from robot_sysid.damiao.safety.position_shift import PositionShift
 
         return PositionShift(self.robot, self.doubt)
+
+
+def refuse_guessed_masses(robot: RobotModel) -> None:
+    """Raise InputError where bodies of the links' geometry stand for the masses of an arm.
+
+    Their weight may be off by as much as itself, and no motor carries an arm by it.
+    """
+    if robot.lacks_masses:
+        raise InputError(
+            f"{robot.path} states no masses that motors could carry the arm by: identify the arm "
+            "from a log of its own controller first, and pass the model that is written"
+        )
 
 
 def gravity_holding(
