@@ -236,7 +236,9 @@ def write_simulator_cards(
     if not isinstance(config, IdentifyConfig) or not config.cards.cards or not models:
         return []
     model = models[0]
-    arm = load_robot_model(files.draft_of(model), joint=robot.terminal_joint)
+    draft = files.draft_of(model)
+    names = robot.joint_names
+    arm = load_robot_model(draft, joint=names[-1], first_joint=names[0])
     curved = file_access.curved_file_in(written)
     curved_name = curved.name if curved else ""
     paths = []

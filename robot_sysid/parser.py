@@ -28,6 +28,7 @@ from robot_sysid.model.chain import (
     joint_friction,
     joint_label,
     joint_limits,
+    joints_before,
     resolve_joint,
 )
 from robot_sysid.model.compilation import (
@@ -67,6 +68,8 @@ def load_robot_model(
     mass_scale: Factor | None = None,
     total_mass: float | None = None,
     gravity: Sequence[float] | Array | None = None,
+    first_joint: str | None = None,
+    fix_base: bool = False,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
 
@@ -83,6 +86,8 @@ def load_robot_model(
             none.
         gravity: (3,) direction in which it acts, of any length, in the model's axes; default as
             the file says. How large it is, the file says.
+        first_joint: name of the arm's first joint, where those before it stand still.
+        fix_base: whether the base that a free joint carries stands still.
 
     Raises:
         ModelError: the file cannot be used; says why.
@@ -96,8 +101,12 @@ def load_robot_model(
         if joint is None
         else resolve_joint(mj_model, joint)
     )
-    carriers = chain_to(mj_model, terminal)
-    chain = arm_without_base(mj_model, carriers)
+    first = None
+    if first_joint is not None:
+        first = resolve_joint(mj_model, first_joint, "first_joint")
+    chain = chain_to(mj_model, terminal, first, fix_base)
+    if first is None:
+        chain = arm_without_base(mj_model, chain)
     refuse_tied_joints(mj_model, chain, compiled.mimics)
     keyframe_id = rest_keyframe(mj_model, keyframe)
     qpos = mj_model.qpos0.copy()
@@ -117,7 +126,7 @@ def load_robot_model(
     notes = (
         *_notes_on_file(robot),
         *_notes_on_options(mass_scale, gravity),
-        *_notes_on_choices(robot, carriers, joint is None, keyframe_id),
+        *_notes_on_choices(robot, joint is None, keyframe_id),
         *_notes_on_masses(robot, total_mass),
         *_notes_on_what_is_left_out(robot),
     )
@@ -214,18 +223,18 @@ def _notes_on_masses(robot: RobotModel, total_mass: float | None) -> Iterator[st
 
 
 def _notes_on_choices(
-    robot: RobotModel, carriers: Sequence[int], is_found: bool, keyframe: int | None
+    robot: RobotModel, is_found: bool, keyframe: int | None
 ) -> Iterator[str]:
     """Yield sentences on what was chosen where the user may want something else.
 
     Args:
         robot: the arm.
-        carriers: ids of the joints that move its last link, base to terminal.
         is_found: whether the last one was found, and not named by the user.
         keyframe: id of the keyframe that is the arm at rest, if any.
     """
     mj_model = robot.mj_model
-    jaw = jaw_in_line(mj_model, carriers[-1]) if is_found else None
+    arm = mj_model.dof_jntid[robot.dof_index].tolist()
+    jaw = jaw_in_line(mj_model, arm[-1]) if is_found else None
     if jaw is not None:
         name = joint_label(mj_model, jaw)
         yield (
@@ -239,10 +248,12 @@ def _notes_on_choices(
             "of several keyframes none is called home, so all joints start at their zero; "
             f"{option_name('keyframe')} chooses one of {keyframes}"
         )
-    arm = mj_model.dof_jntid[robot.dof_index]
-    base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in arm)
-    if base:
-        yield f"{base} drive a mobile base, which is taken to stand still"
+    standing = [joint_label(mj_model, j) for j in joints_before(mj_model, arm[0])]
+    if standing:
+        yield (
+            f"taken to stand still where the model has them at rest, before the arm's first joint "
+            f"{robot.joint_names[0]}: {', '.join(standing)}"
+        )
 
 
 def _turned_gravity(robot: RobotModel, direction: Sequence[float] | Array) -> Array:

@@ -307,6 +307,18 @@ class ColumnFinder:
             f"the log needs one {quantity} column for each joint of the chain "
             f"({', '.join(self.robot.joint_names)}): found {listed}"
         )
+        part = self._part_of_chain(quantity)
+        if part:
+            names = f"{part[0]} to {part[-1]}"
+            fault += f"; if the arm is {names}, and the joints beside them stand still,"
+            settings = []
+            if part[0] != self.robot.joint_names[0]:
+                settings.append(("first_joint", part[0]))
+            if part[-1] != self.robot.joint_names[-1]:
+                settings.append(("joint", part[-1]))
+            listed = " and ".join(option_name(key, name) for key, name in settings)
+            words = [(f"--{key.replace('_', '-')}", name) for key, name in settings]
+            return InputError(f"{fault} {listed} says so", [sum(words, ())])
         if quantity == "command":
             fault += " (titles such as action, command, q_des or goal_position)"
         if quantity != "torque":
@@ -335,6 +347,17 @@ class ColumnFinder:
         if others:
             fault += f"; not measured are {', '.join(others)}"
         return UnrecognisedError(fault)
+
+    def _part_of_chain(self, quantity: str) -> tuple[str, ...]:
+        """Return the joints in a row, two or more, of which titles name a quantity; () where some
+        are missing between them.
+        """
+        names = self.robot.joint_names
+        named = {t.joint for t in self.titles if t.joint_quantity == quantity}
+        at = [k for k, name in enumerate(names) if name in named]
+        if not 2 <= len(at) < len(names) or at[-1] - at[0] >= len(at):
+            return ()
+        return names[at[0] : at[-1] + 1]
 
     def _unused_torques(self, used: Collection[int] = ()) -> list[str]:
         """Return the titles of torques of as many joints, with "*" for the joint, and their marks.

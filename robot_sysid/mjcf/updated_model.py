@@ -35,7 +35,12 @@ from robot_sysid.mjcf.inertial import (
     mjcf_inertial,
     urdf_inertial_about_com,
 )
-from robot_sysid.mjcf.urdf import give_minimum, mend_inertias, raise_inertias
+from robot_sysid.mjcf.urdf import (
+    drop_unused_axes,
+    give_minimum,
+    mend_inertias,
+    raise_inertias,
+)
 from robot_sysid.records import Array, Flange
 
 
@@ -140,6 +145,7 @@ def changed_model_text(
         _write_gravity(document, change.gravity)
     if document.is_urdf:
         # MuJoCo has to load the text by itself, so links get what compilation gave them.
+        drop_unused_axes(document)
         give_minimum(document, excluded=written)
         mend_inertias(document, excluded=written)
         raise_inertias(document, excluded=written)

@@ -52,7 +52,8 @@ def make_compilable(document: ModelDocument) -> tuple[str, ...]:
         ModelError: a mesh that decides a link's inertia is missing.
         ValueError: a number cannot be read.
     """
-    notes = list(_use_absolute_meshes(document))
+    notes = [*drop_unused_axes(document), *_use_absolute_meshes(document)]
+    _stand_on_world(document)
     document.set_compiler({"fusestatic": "false", "strippath": "false"})
     mended, nearest = mend_inertias(document)
     notes += [f"{text}; it is used, in a written model too" for text in mended]
@@ -78,6 +79,56 @@ def make_compilable(document: ModelDocument) -> tuple[str, ...]:
         )
         notes.append(LeastMassGiven(text))
     return tuple(notes)
+
+
+def drop_unused_axes(document: ModelDocument) -> list[str]:
+    """Remove the <axis> of joints that have none, where it is no three numbers, and return a note.
+
+    MuJoCo reads it of fixed and floating joints, too.
+    """
+    names = []
+    for joint in document.root.findall("joint"):
+        axis = joint.find("axis")
+        if axis is None or joint.get("type") not in ("fixed", "floating"):
+            continue
+        if not _is_vector(axis.get("xyz")):
+            joint.remove(axis)
+            names.append(str(joint.get("name")))
+    if not names:
+        return []
+    return [
+        f"the axis of joint {', '.join(names)}, which has none because of its type, is no three "
+        "numbers: it is left out, in a written model too"
+    ]
+
+
+def _is_vector(text: str | None) -> bool:
+    """Return whether a text is three numbers."""
+    try:
+        return len([float(word) for word in (text or "").split()]) == 3
+    except ValueError:
+        return False
+
+
+def _stand_on_world(document: ModelDocument) -> None:
+    """Make the world of an empty first link that a floating joint carries the arm from.
+
+    MuJoCo takes a free joint on its world alone, which is a first link of that name.
+    """
+    links = {link.get("name"): link for link in document.root.findall("link")}
+    joints = document.root.findall("joint")
+    children = {get(joint.find("child"), "link") for joint in joints}
+    floating = [joint for joint in joints if joint.get("type") == "floating"]
+    parents = {get(joint.find("parent"), "link") for joint in floating}
+    for name in parents - children:
+        link = links.get(name)
+        if link is None or link.findall("*") or "world" in links:
+            continue
+        link.set("name", "world")
+        for parent in document.root.findall("joint/parent"):
+            if parent.get("link") == name:
+                parent.set("link", "world")
+        return
 
 
 def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:

@@ -33,6 +33,15 @@ class ModelOptions(OptionRecord):
     joint: Optional[str] = option(
         None, "terminal joint", "NAME", default_text="found automatically"
     )
+    first_joint: Optional[str] = option(
+        None,
+        "first joint of the arm, where those before it, as of a torso, stand still",
+        "NAME",
+        default_text="the one nearest to the base",
+    )
+    fix_base: bool = option(
+        False, "the base that a free joint carries stands still where the model has it"
+    )
     mass_scale: Optional[Factor] = option(
         None,
         "multiply all masses and moments of inertia of the model by this; 1.7+-16% may be so far "
@@ -63,5 +72,13 @@ class ModelOptions(OptionRecord):
     )
 
 
-OF_LOG = ("mesh_dir", "joint", "mass_scale", "total_mass", "gravity")
+OF_LOG = (
+    "mesh_dir",
+    "joint",
+    "first_joint",
+    "fix_base",
+    "mass_scale",
+    "total_mass",
+    "gravity",
+)
 """Keys of the options of a model that is compared with a log, and is not moved."""

@@ -36,6 +36,8 @@ from robot_sysid.wording import option_name, option_setting
 RIVAL_SHARE = 0.6
 """Share of the arm's joints from which another run of joints could be the arm: a head of two or
 three joints beside a seven-joint arm is none, a run of five may be one."""
+LEAST_MASS = 1e-3
+"""Mass below which what a joint moves is no part of an arm [kg]: a gram."""
 # Part of the name of a gripper's joint.
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 # Part of the name of a gripper's moving body.
@@ -46,6 +48,8 @@ _WRIST_JOINT = re.compile(r"wrist|roll|rot|yaw|pitch|tilt|turn|swivel", re.IGNOR
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 # MuJoCo's type of a slide joint.
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+# MuJoCo's type of a joint that lets a body fly.
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 # Part of the errors on joints of other types.
 _ONLY_THESE = "only hinge and slide joints can be identified"
 
@@ -65,19 +69,54 @@ def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
     return mj_model.jnt_type[joint] in (_HINGE, _SLIDE)
 
 
-def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
+def chain_to(
+    mj_model: Any, joint: int, first: int | None = None, fix_base: bool = False
+) -> tuple[int, ...]:
     """Return the ids of all joints from the world to ``joint``, that one included.
 
-    ModelError where there is a ball or free joint among them.
+    Args:
+        mj_model: the compiled model.
+        joint: id of the last one.
+        first: id of the first one, where those before it stand still; None for all.
+        fix_base: whether the base that a free joint carries stands still, with all before it.
+
+    Raises:
+        ModelError: there is a ball or free joint among them, or the first one does not carry the
+            last.
     """
     chain = tuple(_towards_world(mj_model, joint))[::-1]
-    for link_joint in chain:
-        if not is_hinge_or_slide(mj_model, link_joint):
+    if first is not None:
+        if first not in chain:
+            setting = option_setting("first_joint", joint_label(mj_model, first))
+            listed = ", ".join(joint_label(mj_model, each) for each in chain)
             raise ModelError(
-                f"ball or free joint {joint_label(mj_model, link_joint)} is part of the chain to "
-                f"joint {joint_label(mj_model, joint)}; {_ONLY_THESE}, so weld it or replace it"
+                f"{setting}: it does not carry joint {joint_label(mj_model, joint)}; these do: "
+                f"{listed}"
             )
+        chain = chain[chain.index(first) :]
+    free = [each for each in chain if mj_model.jnt_type[each] == _FREE]
+    if fix_base and free:
+        chain = chain[chain.index(free[-1]) + 1 :]
+    for link_joint in chain:
+        if is_hinge_or_slide(mj_model, link_joint):
+            continue
+        label = joint_label(mj_model, link_joint)
+        if link_joint in free:
+            raise ModelError(
+                f"free joint {label} carries the arm, whose base may move anywhere; if the arm "
+                f"stands on something, {option_name('fix_base')} welds it where the model has it",
+                [("--fix-base",)],
+            )
+        raise ModelError(
+            f"ball joint {label} is part of the chain to joint {joint_label(mj_model, joint)}; "
+            f"{_ONLY_THESE}, so weld it or replace it"
+        )
     return chain
+
+
+def joints_before(mj_model: Any, joint: int) -> list[int]:
+    """Return the ids of the joints between the world and a joint, from the world outwards."""
+    return [*_towards_world(mj_model, joint)][:0:-1]
 
 
 def _parent_joints(mj_model: Any) -> list[int]:
@@ -220,11 +259,11 @@ def _ambiguity(
     return AmbiguousJointError(reason, candidates)
 
 
-def resolve_joint(mj_model: Any, name: str) -> int:
+def resolve_joint(mj_model: Any, name: str, key: str = "joint") -> int:
     """Return the id of the joint called ``name`` ("#3" for a nameless one).
 
-    ModelError where there is none, which lists the hinges and slides there are, or where a later
-    joint moves the same body.
+    ModelError, which names the option with this key, where there is none, which lists the hinges
+    and slides there are, or where a later joint moves the same body.
     """
     matches = []
     usable = []
@@ -234,12 +273,14 @@ def resolve_joint(mj_model: Any, name: str) -> int:
             matches.append(joint)
         if is_hinge_or_slide(mj_model, joint):
             usable.append(label)
-    setting = option_setting("joint", name)
+    setting = option_setting(key, name)
     if not matches:
         listed = ", ".join(usable) or "none"
         raise ModelError(f"{setting}: no such joint; the model has: {listed}")
     # A model may call a joint "#3" though the nameless joint 3 is before it.
     joint = matches[-1]
+    if key != "joint":
+        return joint
     body = mj_model.jnt_bodyid[joint]
     last = int(mj_model.body_jntadr[body] + mj_model.body_jntnum[body]) - 1
     if last != joint:
@@ -252,12 +293,24 @@ def resolve_joint(mj_model: Any, name: str) -> int:
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
     """Return a chain (joint ids, outwards) without the joints of a mobile base at its beginning.
 
-    Those are two slides and a hinge, all unlimited; as many joints must remain for an arm.
+    Those are two slides and a hinge, which are unlimited or begin with a slide that moves nothing
+    of mass, as none of a gantry does; as many joints must remain for an arm.
     """
     base = list(chain[:3])
     is_planar = sorted(mj_model.jnt_type[base]) == sorted((_SLIDE, _SLIDE, _HINGE))
     is_limited = np.any(mj_model.jnt_limited[base])
-    return chain[3:] if len(chain) >= 6 and is_planar and not is_limited else chain
+    is_virtual = _moves_nothing(mj_model, base[0]) and not _moves_nothing(
+        mj_model, chain[-1]
+    )
+    is_base = len(chain) >= 6 and is_planar and (not is_limited or is_virtual)
+    return chain[3:] if is_base else chain
+
+
+def _moves_nothing(mj_model: Any, joint: int) -> bool:
+    """Return whether what a joint moves, up to the next ones, has next to no mass."""
+    body = mj_model.jnt_bodyid[joint]
+    is_own = mj_model.body_weldid == mj_model.body_weldid[body]
+    return bool(np.sum(mj_model.body_mass[is_own]) < LEAST_MASS)
 
 
 DEFAULT_SLIDE_VELOCITY = 0.25

@@ -45,7 +45,8 @@ def pictures(run: Run, mesh_dir: Path | None = None) -> tuple[list[Figure], str]
     try:
         if not path.is_file():
             raise SysidError(f"its model is not at {path} any more")
-        robot = load_robot_model(path, mesh_dir, run.content["joint_name"])
+        names = run.content["joint_names"]
+        robot = load_robot_model(path, mesh_dir, names[-1], first_joint=names[0])
         if robot.sha256 != entry["sha256"]:
             raise SysidError(f"{path} has changed since the run")
         return _ellipsoid_pictures(robot, list(_drawn_bodies(robot, run))), ""

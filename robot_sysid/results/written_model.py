@@ -159,7 +159,11 @@ def _arm_of_kind(
         joint = robot.terminal_joint
         factor = robot.mass_scale if robot.mass_scale != 1.0 else None
         arm = load_robot_model(
-            path, joint=joint, mass_scale=factor, gravity=robot.gravity
+            path,
+            joint=joint,
+            mass_scale=factor,
+            gravity=robot.gravity,
+            first_joint=robot.joint_names[0],
         )
         return as_stated(arm), replace(target, mesh_dir=None)
     except InputError as error:

@@ -45,6 +45,7 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
 from robot_sysid.errors import InputError, SimulationError
+from robot_sysid.model.chain import joints_before
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, Recording, RobotModel
 from robot_sysid.records.option_fields import joint_values
@@ -112,15 +113,22 @@ def load_plant(
     Raises:
         InputError: the file cannot be used, or its joints are others than the robot's; says why.
     """
+    first = int(robot.mj_model.dof_jntid[robot.dof_index[0]])
+    is_carried = bool(joints_before(robot.mj_model, first))
     try:
-        plant = load_robot_model(plant_path, mesh_dir, robot.terminal_joint)
+        plant = load_robot_model(
+            plant_path,
+            mesh_dir,
+            robot.terminal_joint,
+            first_joint=robot.joint_names[0] if is_carried else None,
+        )
     except InputError as error:
         # Options are about the model: none of them remedies the plant.
         raise InputError(f"the plant {plant_path.name}: {error}") from None
     if plant.lacks_masses:
         raise InputError(
-            f"the plant {plant_path.name}: it states no masses, or one number for all links, and so "
-            "plays no arm; state masses in kg"
+            f"the plant {plant_path.name}: it states no masses, or one number for all links, and "
+            "so plays no arm; state masses in kg"
         )
     joints, plant_joints = map(_joints_text, (robot, plant))
     if joints != plant_joints:

@@ -101,3 +101,25 @@ def test_the_columns_of_a_damiao_recording_are_known():
     used = product(("pos", "tau", "vel", "time"), range(3))
     expected = ["time", *(f"j{joint}_{name}" for name, joint in used)]
     assert list(map(attrgetter("title"), columns.columns())) == expected
+
+
+@pytest.mark.parametrize(
+    ("logged", "option"),
+    [
+        ((2, 5), ("--first-joint", "a2")),
+        ((0, 3), ("--joint", "a2")),
+        ((1, 4), ("--first-joint", "a1", "--joint", "a3")),
+    ],
+)
+@pytest.mark.parametrize("missing", ["position", "torque"])
+def test_a_log_of_a_part_of_the_arm_names_the_options_that_hold_the_rest(
+    logged, option, missing
+):
+    joints = [f"a{number}" for number in range(5)]
+    part = joints[slice(*logged)]
+    positions = part if missing == "position" else joints
+    titles = [f"{name}_position" for name in positions]
+    titles += [f"{name}_torque" for name in part]
+    with refused(f"if the arm is {part[0]} to {part[-1]}, ") as caught:
+        recognise(["time", *titles], joints)
+    assert caught.value.options == (option,)

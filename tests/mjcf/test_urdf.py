@@ -11,6 +11,7 @@ from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.urdf import inertia_increases, make_compilable
+from robot_sysid.parser import load_robot_model
 
 
 def compilable_urdf(document):
@@ -161,3 +162,31 @@ def test_balanceinertia_mends_all_but_moments_that_are_not_positive(tmp_path):
     for inertia, is_mended in (("0.01 0.02 0.1", False), ("-0.1 0.02 0.02", True)):
         document = arm(tmp_path, urdf.inertial(inertia=inertia), setting)
         assert bool(inertia_increases(document)) == is_mended
+
+
+def test_an_axis_that_no_joint_uses_need_not_be_one(tmp_path):
+    """Of a joint that turns it has to."""
+    tip = urdf.joint("l2", "tip", "fixed").replace('"0 0 1"', '"100"')
+    links = urdf.serial({"l1": urdf.inertial(), "l2": urdf.inertial()})
+    text = urdf.robot(links, urdf.link("tip"), tip)
+    path = write_files(tmp_path, {"arm.urdf": text})
+    robot = load_robot_model(path)
+    assert any("axis of joint l2_tip" in note for note in robot.notes)
+    path.write_text(text.replace('type="fixed"', 'type="revolute"'))
+    with refused("attribute 'xyz' does not have enough data", ModelError):
+        load_robot_model(path)
+
+
+@pytest.mark.parametrize("root", ["world", "odom"])
+def test_a_floating_root_is_held_where_the_user_says_so(tmp_path, root):
+    links = urdf.serial({"l1": urdf.inertial(), "l2": urdf.inertial()})
+    links = links.replace(
+        '<link name="base"></link>', f'<link name="base">{urdf.inertial()}</link>'
+    )
+    joint = urdf.joint(root, "base", "floating")
+    text = urdf.robot(urdf.link(root), joint, links)
+    path = write_files(tmp_path, {"arm.urdf": text})
+    with refused(f"free joint {root}_base carries the arm.*--fix-base", ModelError):
+        load_robot_model(path)
+    robot = load_robot_model(path, fix_base=True)
+    assert robot.joint_names == ("base_l1", "l1_l2")

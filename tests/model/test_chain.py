@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 from rigs.arms import small_arms
 from rigs.arms.small_arms import (
+    TIP,
     X,
     Y,
     Z,
@@ -20,8 +22,10 @@ from rigs.arms.small_arms import (
     world,
 )
 from rigs.files.refusals import refused
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.model import chain as module
+from robot_sysid.parser import load_robot_model
 
 
 def terminal_of(xml):
@@ -202,9 +206,7 @@ def on_base(base_joints, attributes="", axes=(Z, Y, X, Y)):
 def test_a_mobile_base_is_held_and_named(order):
     robot = robot_of(on_base([PLANE[i] for i in order]))
     assert robot.joint_names == ("joint0", "joint1", "joint2", "joint3")
-    assert any(
-        "base0, base1, base2 drive a mobile base" in note for note in robot.notes
-    )
+    assert any("joint0: base0, base1, base2" in note for note in robot.notes)
 
 
 @pytest.mark.parametrize(
@@ -240,3 +242,57 @@ def test_slides_have_a_speed_of_their_own_but_never_more_than_asked(
     slides = speed_limits('type="slide" range="-1 1"', max_velocity)
     assert_array_equal(slides, [slide] * 3)
     assert_array_equal(speed_limits("", max_velocity), [max_velocity] * 3)
+
+
+def on_free_base(axes=(Z, Y, X)):
+    inertial = '<inertial pos="0 0 .1" mass="20" diaginertia="1 1 1"/>'
+    return compile_xml(
+        world(
+            f'<body name="base" pos="0 0 1">{inertial}<freejoint name="root"/>'
+            f"{serial_bodies(axes)}</body>"
+        )
+    )
+
+
+def test_a_free_base_is_refused_with_the_option_that_welds_it():
+    with refused("free joint root carries the arm.*--fix-base", ModelError) as caught:
+        robot_of(on_free_base())
+    assert caught.value.options == (("--fix-base",),)
+
+
+def test_a_welded_base_stands_where_the_model_has_it():
+    model = on_free_base()
+    robot = load_robot_model(model, fix_base=True)
+    assert robot.joint_names == ("joint0", "joint1", "joint2")
+    assert any(note.endswith("joint0: root") for note in robot.notes)
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 4, 3))
+    fixed = load_robot_model(compile_xml(world(serial_bodies((Z, Y, X)))))
+    expected = LinkDynamics(fixed).motion(q, qd, qdd).torque(fixed.thetas)
+    torque = LinkDynamics(robot).motion(q, qd, qdd).torque(robot.thetas)
+    assert torque == pytest.approx(expected)
+
+
+def test_joints_before_the_first_one_are_held():
+    model = compile_xml(world(serial_bodies((Z, Y, X, Y, Z))))
+    robot = load_robot_model(model, first_joint="joint2")
+    assert robot.joint_names == ("joint2", "joint3", "joint4")
+    with refused("joint9: no such joint; the model has: joint0", ModelError):
+        load_robot_model(model, first_joint="joint9")
+    with refused("joint3: it does not carry joint joint2; these do", ModelError):
+        load_robot_model(model, first_joint="joint3", joint="joint2")
+
+
+@pytest.mark.parametrize(("mass", "is_base"), [(1e-6, True), (5.0, False)])
+def test_a_base_whose_slides_move_nothing_is_no_gantry(mass, is_base):
+    """Its travel may end somewhere."""
+    dummy = f'<inertial pos="0 0 0" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/>'
+    content = serial_bodies((Z, Y, X, Y))
+    for number, (kind, axis) in reversed([*enumerate(PLANE)]):
+        inertial = dummy if kind == "slide" else TIP
+        content = (
+            f'<body>{inertial}<joint name="base{number}" type="{kind}" axis="{axis}" '
+            f'range="-1 1"/>{content}</body>'
+        )
+    robot = load_robot_model(compile_xml(world(content)))
+    assert robot.n_joints == (4 if is_base else 7)
