@@ -183,8 +183,11 @@ def two_arms() -> None:
 
 
 def arm_in_tonnes() -> None:
-    light = urdf.inertial(1e-3, inertia="1e-5 2e-5 2.5e-5")
-    links = dict.fromkeys(("l1", "l2", "l3"), light)
+    masses = {"l1": 3e-3, "l2": 2e-3, "l3": 1e-3}
+    links = {
+        name: urdf.inertial(mass, inertia="1e-5 2e-5 2.5e-5")
+        for name, mass in masses.items()
+    }
     written_arm(urdf.robot(urdf.serial(links)), "arm.urdf")
 
 
