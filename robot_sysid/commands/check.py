@@ -82,6 +82,10 @@ COMMANDS = (
             "log": options_of_all(LogOptions),
         },
         run,
+        main=(
+            *("since", "mesh_dir", "joint", "gravity", "columns", "units"),
+            *("torque_scale", "torque_constants", "topic", "accept", "json"),
+        ),
         interrupted="interrupted; nothing was written",
     ),
 )

@@ -137,12 +137,12 @@ class RunOptions:
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> RunOptions:
         """Return the options with values by key; InputError where one cannot be used."""
+        given = {key: value for key, value in values.items() if value is not None}
         records: dict[str, Any] = {
-            name: record_from(type(default), values, default)
+            name: record_from(type(default), given, default)
             for name, default in vars(cls()).items()
             if isinstance(default, OptionRecord)
         }
-        given = {key: value for key, value in values.items() if value is not None}
         return cls(**records, given=given)
 
     def require_model(self) -> None:

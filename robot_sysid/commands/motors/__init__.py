@@ -287,6 +287,8 @@ _PLAYED = (
         "List the motors on a bus, or change one: ids, mode, watchdog, error. "
         "Never while it is enabled.",
         {**_BUS, "arm": _MODEL, "setup": options_of_all(SetupOptions)},
+        main="interface channel fd bitrate model motor new_id new_master_id mit watchdog "
+        "clear_error store",
         own_options=(SetupOptions,),
     ),
     _command(
