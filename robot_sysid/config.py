@@ -146,7 +146,13 @@ class Config:
         return cls(**records)
 
     def __post_init__(self) -> None:
-        """Raise InputError where an output file would replace an input file."""
+        """Raise InputError where an output file would replace an input file, or a path is no text.
+
+        The settings of a run have all of them, in UTF-8.
+        """
+        for use in PathUse:
+            for _, path in self._files(use):
+                file_access.require_utf8(path)
         file_access.refuse_overwriting(self.input_files(), self._output_files())
 
     def input_files(self) -> tuple[Path | None, ...]:

@@ -163,6 +163,8 @@ def logs():
     }
     for name, text in texts.items():
         yield Hostile(f"log {name}", ["log", name, "arm.xml"], {name: text})
+    for words in ("l\udcff", "log.csv --columns c\udcff", "log.csv --mesh-dir m\udcff"):
+        yield Hostile(f"no text: {words!r}", ["identify", "arm.xml", *words.split()])
     yield Hostile("log that is missing", ["log", f"a{ESCAPES}{COMMAND}.csv", "arm.xml"])
 
 
