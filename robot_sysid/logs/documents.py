@@ -268,6 +268,8 @@ def dialect_table(dialect: Dialect, joint_names: Sequence[str]) -> LogTable:
     if titles[0] == "#1" and _echo_state(dialect.first_row):
         messages = map(_echo_state, dialect.rows())
         return states_table(path, "ros2 topic echo in CSV", messages, "message")
+    if titles[0] == "#1" and read_title(dialect.first_row[0]).quantity == "time":
+        return _table_of_series(dialect)
     quantities = [read_title(title).quantity_beside_name for title in titles]
     if quantities.count("position") < len(joint_names):
         return _long_table(dialect) or plain_table(dialect)
@@ -286,6 +288,24 @@ def _echo_state(cells: Sequence[str]) -> Mapping[str, Any]:
     stamp = {"sec": cells[0], "nanosec": cells[1]}
     message = dict(zip(("name", "position", "velocity", "effort"), lists))
     return {"header": {"stamp": stamp}, **message}
+
+
+def _table_of_series(dialect: Dialect) -> LogTable:
+    """Return a text file with a row per signal, its name in front, as a table.
+
+    InputError where a row is no name with numbers, or two have one name.
+    """
+    series: dict[str, Array] = {}
+    for name, *cells in dialect.rows():
+        cells = cells[:-1] if cells and not cells[-1] else cells
+        if name in series or not all(map(is_number, cells)):
+            raise InputError(
+                f"{dialect.path} has a row per signal, of which {name!r} is there twice or holds "
+                "something else than numbers; write a column per signal, titles above them"
+            )
+        series[name] = np.array([*map(parse_cell, cells)])
+    layout = f"a row per signal, {len(series)} signals"
+    return arrays_table(dialect.path, layout, series)
 
 
 # Title of a column that names the signal or the joint of its row.

@@ -80,6 +80,10 @@ class MotionPlan(Protocol):
         """Return the motion at times (N,) [s], with exact derivatives."""
 
 
+MOST_LISTED = 100
+"""Columns that are not used which a note lists."""
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a log's file.
@@ -157,6 +161,8 @@ class ColumnMap:
             used += f"; own time from {_quote(self.joint_time)}"
         indices = {column.index for column in self.columns()}
         unused = [t for index, t in enumerate(self.titles) if index not in indices]
+        if len(unused) > MOST_LISTED:
+            unused[MOST_LISTED:] = [f"{len(unused) - MOST_LISTED} more"]
         return used, f"log columns not used: {', '.join(unused) or 'none'}"
 
 

@@ -141,3 +141,24 @@ def test_other_lines_of_printed_messages_are_passed_over(tmp_path):
     gripper = lines[0].split(",")[:3] + ["finger", "0.1", "0.2", "0.3"]
     path.write_text("\n".join([",".join(gripper), "", *lines])[:-30])
     assert_read(path, DATA[:-1])
+
+
+def write_series(folder, names=TITLES, separator=","):
+    """Write the log with a row per signal, its name in front."""
+    rows = [[name, *numbers] for name, numbers in zip(names, table(DATA).T)]
+    return write(folder / "log.csv", rows, (), separator)
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_a_row_per_signal_with_its_samples_is_read(tmp_path, separator):
+    log = assert_read(
+        write_series(tmp_path, separator=separator), DATA, ("time", "q", "tau")
+    )
+    assert "log layout: a row per signal, 7 signals" in log.notes
+
+
+def test_a_signal_that_is_there_twice_is_refused(tmp_path):
+    names = (*TITLES[:-1], "q1")
+    assert_refused(
+        "a row per signal, of which 'q1' is there twice", write_series(tmp_path, names)
+    )
