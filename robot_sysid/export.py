@@ -15,13 +15,14 @@ from typing import Any
 from robot_sysid.config import Config, IdentifyConfig, PayloadConfig, PayloadOptions
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.urdf import base_link
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel, file_access
 from robot_sysid.records.controllers import ALL
 from robot_sysid.records.messages import Level, NextStep, Progress, says
 from robot_sysid.records.option_fields import write_torque_scale
-from robot_sysid.records.quantities import CURVED, Quantity
+from robot_sysid.records.quantities import CURVED
 from robot_sysid.results.cards import card_text, number_groups, simulator_card
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
@@ -126,7 +127,7 @@ def save(
                 text = card_text(payload, card, result.robot, options.cards)
                 files.write(written[-1], text)
             written += write_simulator_cards(
-                config, result.robot, files, written, result.quantities
+                config, result.robot, files, written, result
             )
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
@@ -221,7 +222,7 @@ def write_simulator_cards(
     robot: RobotModel,
     files: file_access.AtomicFiles,
     written: Collection[Path],
-    quantities: Sequence[Quantity] = (),
+    result: Identification | None = None,
 ) -> list[Path]:
     """Write the cards that the options ask for, of the first written model; return their paths.
 
@@ -230,7 +231,7 @@ def write_simulator_cards(
         robot: the arm as in the original model.
         files: holds the draft of the model.
         written: paths of the written files; without a model there is no card.
-        quantities: rows of the result; none where its links are the model's.
+        result: of the logs; None of servos, whose logs have no torque.
     """
     models = file_access.models_in(written)
     if not isinstance(config, IdentifyConfig) or not config.cards.cards or not models:
@@ -241,12 +242,13 @@ def write_simulator_cards(
     arm = load_robot_model(draft, joint=names[-1], first_joint=names[0])
     curved = file_access.curved_file_in(written)
     curved_name = curved.name if curved else ""
+    base = base_link(read_document(files.draft_of(model)))
     paths = []
     for simulator, name in file_access.SIMULATOR_CARD_NAMES.items():
         if config.cards.cards in (simulator, ALL):
             paths.append(model.with_name(name))
             text = simulator_card(
-                simulator, robot, arm, model.name, curved_name, quantities
+                simulator, robot, arm, model.name, curved_name, result, base
             )
             files.write(paths[-1], text)
     return paths

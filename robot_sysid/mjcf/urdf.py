@@ -173,6 +173,13 @@ def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:
         )
 
 
+def base_link(document: ModelDocument) -> str:
+    """Return the name of the first link of a URDF that no joint carries; "" of an MJCF."""
+    carried = {get(j.find("child"), "link") for j in document.root.findall("joint")}
+    names = [link.get("name") for link in document.root.findall("link")]
+    return next((name for name in names if name and name not in carried), "")
+
+
 def _moving_links(document: ModelDocument) -> set[str | None]:
     """Return the names of the links that a joint moves, or that are fixed to one that moves."""
     carried: dict[str | None, list[str | None]] = {}

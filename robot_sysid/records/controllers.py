@@ -36,6 +36,7 @@ SIMULATORS: Mapping[str, str] = {
     "genesis": "Genesis",
     "drake": "Drake",
     "pinocchio": "Pinocchio",
+    "bam": "BAM",
 }
 """Key of a library that simulates or computes arms to its name: each has a card of an arm, the
 template of that key in ``results/card_templates``."""

@@ -17,6 +17,11 @@ from typing import Any
 import numpy as np
 
 from robot_sysid import spatial
+from robot_sysid.dynamics.straight_friction import (
+    load_shares,
+    loaded_friction,
+    straight_friction,
+)
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.bodies import body_theta
@@ -32,7 +37,7 @@ from robot_sysid.records.quantities import (
     load_errors,
     principal_moments,
 )
-from robot_sysid.results.record import Payload
+from robot_sysid.results.record import Identification, Payload
 
 # Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
 # each of ``controllers.SIMULATORS``.
@@ -105,7 +110,8 @@ def simulator_card(
     written: RobotModel,
     model_name: str,
     curved: str = "",
-    quantities: Sequence[Quantity] = (),
+    result: Identification | None = None,
+    base: str = "",
 ) -> str:
     """Return the numbers of a written model as Python text that a simulator loads.
 
@@ -115,9 +121,12 @@ def simulator_card(
         written: the same arm as in the written model.
         model_name: name of the file of the written model.
         curved: name of the file whose friction bends with speed; "" where there is none.
-        quantities: rows of the result, which say what each inertia comes from.
+        result: of the logs, which says how fast joints were, what friction grows with load and what
+            each inertia comes from; None where there is none that knows it.
+        base: name of the first link of a URDF, which some readers leave free in the air; "" else.
     """
-    not_shown = _links_without_inertia(quantities)
+    rows = result.quantities if result else ()
+    not_shown = _links_without_inertia(rows)
     original = {body.name: body.theta for link in robot.links for body in link.bodies}
     bodies = {}
     merged = {}
@@ -139,24 +148,37 @@ def simulator_card(
         if len(parts) > 1:
             others = [body.name for body in parts[1:]]
             merged[parts[0].name] = others, _exact_numbers(sum_theta(parts))
+    traces = result.traces(every_sample=False) if result and result.traces else None
+    friction = straight_friction(written, traces)
     columns = {
         "armature": written.armature,
-        "damping": written.friction.viscous,
-        "frictionloss": written.friction.coulomb,
+        "damping": friction.viscous,
+        "frictionloss": friction.dry,
         "effort_limit": written.limits.torque,
     }
     joints = {}
     for index, name in enumerate(written.joint_names):
         joints[name] = {key: _exact(column[index]) for key, column in columns.items()}
+    loaded = {}
+    shares = load_shares(rows)
+    for name, of_joint in loaded_friction(written, friction, traces, shares).items():
+        loaded[name] = {
+            "friction_base": _exact(of_joint.base),
+            "friction_viscous": _exact(of_joint.viscous),
+            "load_friction_motor": _exact(of_joint.load),
+        }
     return _template(simulator).render(
         simulator=SIMULATORS[simulator],
         model=robot.path.name,
         file=model_name,
+        base=base,
         curved=curved,
         bodies=bodies,
         sources=sources,
         merged=merged,
         joints=joints,
+        loaded=loaded,
+        replaced=friction.replaced,
         gravity=tuple(map(_exact, written.mj_model.opt.gravity)),
         has_shared_motors=bool(shared_motors(written.mj_model, written.dof_index)),
         has_nameless=any(name.startswith("#") for name in (*bodies, *joints)),

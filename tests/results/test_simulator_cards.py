@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import itertools
 import re
 import sys
 from dataclasses import dataclass, replace
@@ -17,12 +18,14 @@ from numpy.testing import assert_allclose
 from rigs.arms.small_arms import random_theta
 from rigs.files.model_files import write_files
 from rigs.files.notes import NoteRecorder
+from rigs.files.releases import since
 from robot_sysid import spatial
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError
 from robot_sysid.export import save
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Traces
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS
 from robot_sysid.records.file_access import SIMULATOR_CARD_NAMES
 from robot_sysid.records.quantities import DATA, MODEL, Quantity
@@ -59,6 +62,12 @@ FIELDS = {
     "viscous_friction": "damping",
 }
 """Field of Isaac Lab to the number of a joint."""
+NO_STRIBECK = (
+    "friction_stribeck",
+    "load_friction_external",
+    "load_friction_motor_stribeck",
+    "load_friction_external_stribeck",
+)
 GRAVITY = np.array([0.4, -0.3, -9.7])
 TARGETS = pytest.mark.parametrize("simulator", [*SIMULATORS])
 
@@ -165,7 +174,8 @@ def test_an_inertia_that_the_logs_do_not_show_is_marked(robot, output):
         Quantity("Izz_about_com", "fore", "kg·m²", 0.02, 0.03, 0.02, DATA),
         Quantity("Ixx_about_com", "hand", "kg·m²", None, 0.03, 0.02, DATA),
     ]
-    text = cards.simulator_card("drake", robot, written, "m.xml", quantities=rows)
+    result = result_of(written, quantities=tuple(rows))
+    text = cards.simulator_card("drake", robot, written, "m.xml", result=result)
     marked = [line for line in text.splitlines() if line.endswith(cards.NOT_SHOWN)]
     assert [line.split("'")[1] for line in marked] == ["hand"]
 
@@ -229,7 +239,7 @@ def test_isaac_lab_gets_the_joints_by_the_names_that_usd_gives_them(
 ):
     """With stand-ins for the classes, which need a program that is not installed here."""
     usd = SimpleNamespace(MakeValidIdentifier=lambda name: re.sub(r"\W|^\d", "_", name))
-    pxr = SimpleNamespace(Gf=None, Tf=usd, UsdGeom=None, UsdPhysics=None)
+    pxr = SimpleNamespace(Gf=None, Tf=usd, Usd=None, UsdGeom=None, UsdPhysics=None)
     actuators = SimpleNamespace(ImplicitActuatorCfg=cfg)
     for name, module in (("isaaclab.actuators", actuators), ("pxr", pxr)):
         monkeypatch.setitem(sys.modules, name, module)
@@ -243,6 +253,155 @@ def test_isaac_lab_gets_the_joints_by_the_names_that_usd_gives_them(
     limits = {"arm_joint_1": 40.0, "_nd": 20.0}
     is_new = cfg is ImplicitActuatorCfg
     assert (arm.joint_effort_limit if is_new else arm.effort_limit_sim) == limits
+
+
+def snippet(path):
+    """The lines at the head of a card that load and swing the arm."""
+    lines = path.read_text().splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("#     "))
+    block = itertools.takewhile(lambda line: line.startswith("#     "), lines[first:])
+    return [line[6:] for line in block]
+
+
+@TARGETS
+def test_the_head_of_a_card_loads_and_swings_the_arm_in_ten_lines(output, simulator):
+    lines = snippet(output / SIMULATOR_CARD_NAMES[simulator])
+    ast.parse("\n".join(lines))
+    assert 5 < len(lines) <= 10
+    assert any(f"{simulator}_card" in line for line in lines)
+    # What it calls is there.
+    card = constants(output / SIMULATOR_CARD_NAMES[simulator])
+    called = re.findall(rf"{simulator}_card\.(\w+)", "\n".join(lines))
+    assert called and all(name in card for name in called)
+
+
+def run_snippet(output, simulator, monkeypatch):
+    """Run the head of a card in the folder of the card, and return its names."""
+    monkeypatch.chdir(output)
+    monkeypatch.syspath_prepend(str(output))
+    names = {}
+    try:
+        exec("\n".join(snippet(output / SIMULATOR_CARD_NAMES[simulator])), names)
+    finally:
+        sys.modules.pop(f"{simulator}_card", None)
+    return names
+
+
+def test_the_snippet_of_mjlab_runs_in_mujoco_itself(output, monkeypatch):
+    """With a stand-in for the one class of mjlab that the card imports."""
+    pytest.importorskip("mujoco", minversion="3.3")
+    for name in ("mjlab", "mjlab.actuator"):
+        stand_in = SimpleNamespace(BuiltinMotorActuatorCfg=dict)
+        monkeypatch.setitem(sys.modules, name, stand_in)
+    model = run_snippet(output, "mjlab", monkeypatch)["model"]
+    assert_allclose(model.opt.gravity, GRAVITY)
+    written = mujoco.MjModel.from_xml_path(str(output / "updated_model.xml"))
+    for field in ("dof_armature", "dof_damping", "dof_frictionloss"):
+        assert_allclose(getattr(model, field), getattr(written, field))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("simulator", ["drake", "pinocchio", "bam"])
+def test_the_snippet_of_a_card_runs(output, simulator, monkeypatch):
+    pytest.importorskip({"drake": "pydrake"}.get(simulator, simulator))
+    names = run_snippet(output, simulator, monkeypatch)
+    if simulator == "drake":
+        q = names["plant"].GetPositions(names["context"])
+    elif simulator == "pinocchio":
+        q = names["q"]
+    else:
+        q = names["data"].qpos
+    assert np.all(np.isfinite(q)) and np.max(np.abs(q)) > 0.1
+
+
+POLYNOMIAL_JOINT = 'damping="0.4 0.3 0.05"'
+
+
+@since(3, 7)
+def test_damping_that_is_a_polynomial_is_a_line_in_a_card_which_says_so(tmp_path):
+    """The line that is nearest over the speeds of the log, dry friction in it."""
+    xml = ARM.replace(
+        'axis="1 0.2 0"', f'axis="1 0.2 0" frictionloss="1" {POLYNOMIAL_JOINT}'
+    )
+    arm = load_robot_model(write_files(tmp_path, {"arm.xml": xml}))
+    rng = np.random.default_rng(0)
+    qd = rng.normal(size=(300, 3))
+    qd[:, 1] = rng.uniform(-1.5, 1.5, 300)
+    log = made_traces(arm, qd)
+    text = cards.simulator_card(
+        "drake", arm, arm, "updated_model.xml", result=result_of(arm, traces=log)
+    )
+    (line,) = [line for line in text.splitlines() if line.startswith("#   '2nd': ")]
+    assert line.startswith("#   '2nd': 0.4 v + 0.3 v |v| + 0.05 v^3, line up to 1.")
+    assert line.endswith(" rad/s") and "polynomial of speed v" in text
+    values = {}
+    exec(text.replace("import", "# import").replace("from", "# from"), values)
+    joint = values["JOINTS"]["2nd"]
+    speed = np.abs(qd[:, 1])
+    stated = 1.0 + 0.4 * speed + 0.3 * speed**2 + 0.05 * speed**3
+    lines = np.column_stack((np.ones(300), speed))
+    nearest = np.linalg.lstsq(lines, stated, rcond=None)[0]
+    assert np.all(nearest > 0.0)
+    assert_allclose((joint["frictionloss"], joint["damping"]), nearest, atol=1e-9)
+
+
+def made_traces(arm, qd, load=None):
+    """Series of a log with speeds (K, n) and torques of motors (K, n), as a result has them."""
+    zeros = np.zeros_like(qd)
+    load = zeros if load is None else load
+    series = Traces(
+        arm.joint_names,
+        tuple(arm.is_slide),
+        np.arange(len(qd)),
+        qd,
+        zeros,
+        load,
+        zeros,
+        zeros,
+    )
+    return lambda every_sample: series
+
+
+def test_friction_of_a_load_is_in_the_card_of_bam_alone(robot, output):
+    """Over the log it is the friction of the file; where nothing shows it, model m1."""
+    card = constants(output / "bam_card.py")
+    assert card["friction"]("2nd") == {
+        "model": "m1",
+        "friction_base": 0.3,
+        "friction_viscous": 0.9,
+        "load_friction_motor": 0.0,
+        **dict.fromkeys(NO_STRIBECK, 0.0),
+        "dtheta_stribeck": 1.0,
+        "alpha": 1.0,
+    }
+    rng = np.random.default_rng(1)
+    qd = rng.normal(size=(500, 3))
+    load = 10.0 * rng.normal(size=(500, 3))
+    rows = [Quantity("further_load", "2nd", "", 0.0, 0.02, 0.005, "data")]
+    rows += [Quantity("further_load", "lift", "", 0.0, 0.02, 0.015, "data")]
+    arm = load_robot_model(output / "updated_model.xml")
+    result = result_of(arm, traces=made_traces(arm, qd, load), quantities=tuple(rows))
+    text = cards.simulator_card("bam", robot, arm, "updated_model.xml", result=result)
+    card = {}
+    exec(text, card)
+    assert [card["friction"](name)["model"] for name in JOINTS] == ["m1", "m5", "m1"]
+    numbers = card["friction"]("2nd")
+    speed = np.abs(qd[:, 1])
+    torque = numbers["friction_base"] + numbers["friction_viscous"] * speed
+    torque += numbers["load_friction_motor"] * np.abs(load[:, 1])
+    assert np.mean(torque) == pytest.approx(np.mean(0.3 + 0.9 * speed))
+    assert (
+        0.0 < numbers["friction_base"] < 0.3 and numbers["load_friction_motor"] == 0.02
+    )
+    assert card["JOINTS"]["2nd"]["frictionloss"] == 0.3
+    parameters = card["parameters"]("2nd", "mx64", kt=1.0, R=2.0)
+    assert parameters == {
+        "actuator": "mx64",
+        "armature": 0.07,
+        **numbers,
+        "kt": 1.0,
+        "R": 2.0,
+    }
 
 
 # What follows needs the libraries themselves.
@@ -385,6 +544,41 @@ def swing_of_genesis(card, path):
     return sampled(lambda: arm.get_dofs_position().numpy(), scene.step)
 
 
+def swing_of_bam(card, path):
+    """Positions (41, 3) of the written model, whose friction BAM sets in each step."""
+    model = card.with_motors(mujoco.MjSpec.from_file(str(path))).compile()
+    model.opt.timestep = STEP
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    # BAM sets rotors and friction itself.
+    model.dof_frictionloss[:] = 0.0
+    model.dof_damping[:] = 0.0
+    data = mujoco.MjData(model)
+    controllers = card.controllers(model, data, "mx64", kt=0.0, R=1.0)
+    data.qpos[:] = START
+
+    def step():
+        for controller in controllers:
+            controller.update()
+        mujoco.mj_step(model, data)
+
+    return sampled(lambda: data.qpos, step)
+
+
+@pytest.mark.slow
+def test_bam_reads_friction_that_grows_with_load(output):
+    model = pytest.importorskip("bam.model")
+    card = module_of(output / "bam_card.py")
+    card.FRICTION["2nd"]["load_friction_motor"] = 0.02
+    parameters = card.parameters("2nd", "mx64", kt=1.0, R=1.0)
+    friction = model.load_model_from_dict(parameters)
+    assert friction.actuator.get_extra_inertia() == 0.07
+    # The motor carries 10 N m, whatever acts outside and however fast the joint is.
+    for outside, speed in ((-10.0, 0.0), (5.0, 1.0)):
+        found = friction.compute_frictions(10.0, outside, speed)
+        assert found == pytest.approx((0.3 + 0.02 * 10.0, 0.9))
+
+
 SWINGS = {
     # Largest difference [rad]; whether dry friction is part of it.
     "pinocchio": (swing_of_pinocchio, 1e-3, False),
@@ -392,17 +586,24 @@ SWINGS = {
     "newton": (swing_of_newton, 1e-4, True),
     "mjlab": (swing_of_mjlab, 1e-6, True),
     "genesis": (swing_of_genesis, 1e-2, True),
+    "bam": (swing_of_bam, 1e-6, True),
 }
+HAS_BODIES = {"bam": "updated_model.xml"}
+"""Library that takes bodies from MuJoCo to the file that it reads in place of the original."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("simulator", [*SWINGS])
 def test_the_arm_swings_there_as_the_written_model_does(robot, output, simulator):
-    """The library reads the ORIGINAL model; all that differs comes from the card."""
+    """The library reads the ORIGINAL model; all that differs comes from the card.
+
+    BAM reads the written one: it has friction and rotors alone.
+    """
     swing, tolerance, with_dry_friction = SWINGS[simulator]
     path = output / SIMULATOR_CARD_NAMES[simulator]
     pytest.importorskip({"drake": "pydrake"}.get(simulator, simulator))
     card = module_of(path)
     expected = swing_of_mujoco(output / "updated_model.xml", with_dry_friction)
     assert np.all(np.ptp(expected[:, :2], axis=0) > 0.3)
-    assert_allclose(swing(card, robot.path), expected, rtol=0, atol=tolerance)
+    model = output / HAS_BODIES[simulator] if simulator in HAS_BODIES else robot.path
+    assert_allclose(swing(card, model), expected, rtol=0, atol=tolerance)
