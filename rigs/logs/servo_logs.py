@@ -17,7 +17,7 @@ XML = serial_arm((Z, Y), joint=JOINT, extra=SERVOS)
 
 
 TRUTH = ServoParameters(
-    np.array([[60.0, 110.0], [4.0, 5.0], [0.9, 0.6], [0.2, 0.1]]), 0.03
+    np.array([[60.0, 110.0], [4.0, 5.0], [0.9, 0.6], [0.2, 0.1]]), 0.03, np.zeros(2)
 )
 """The true parameters of the arm behind the logs."""
 

@@ -162,9 +162,10 @@ def identify_servos(
         fitted = [piece[:end] for piece, end in zip(fitted, ends)]
     progress.stage("Searching for servos, friction and rotor inertia...")
     rollouts = ServoRollouts(robot)
-    problem = ServoProblem(rollouts, fitted)
-    test_problem = ServoProblem(rollouts, held_out)
-    found = refine_by_playing(problem, fit_servos(robot, fitted))
+    solved = fit_servos(robot, fitted)
+    problem = ServoProblem(rollouts, fitted, solved.delay)
+    test_problem = ServoProblem(rollouts, held_out, solved.delay)
+    found = refine_by_playing(problem, solved)
     fit, is_new, before, after = numbers_to_write(found, problem, test_problem)
     result = ServoIdentification(
         robot=robot,
@@ -203,10 +204,14 @@ def numbers_to_write(
     kept = servos_in_model(problem.rollouts.robot).numbers
     without = np.isnan(kept[0])
     kept[:2, without] = found.numbers[:2, without]
-    old = replace(found, numbers=kept)
+    old = replace(found, numbers=kept, dead_zones=0.0 * found.dead_zones)
     is_new = found.is_known
     while True:
-        fit = replace(found, numbers=np.where(is_new, found.numbers, kept))
+        fit = replace(
+            found,
+            numbers=np.where(is_new, found.numbers, kept),
+            dead_zones=np.where(is_new, found.dead_zones, 0.0),
+        )
         before, after, is_worse = test_problem.test(old, fit)
         # Rollouts of what was fitted may only become worse where the equations miss something.
         *_, is_worse_fitted = problem.test(old, fit)

@@ -16,10 +16,10 @@ import numpy as np
 from robot_sysid.records import Array, Recording
 from robot_sysid.signals.resampling import sampling_period
 
-MAX_DELAY = 0.2
+MAX_DELAY = 0.5
 """Longest time by which positions may follow their commands [s]: that of a soft servo, damping over
-gain (0.14 s at a kd of 2.75 and a kp of 20), or ten cycles of a slow bus of 50 Hz."""
-GRID = 0.005
+gain (0.14 s at a kd of 2.75 and a kp of 20), and the way of commands over a network."""
+GRID = 0.01
 """Distance between ``DELAYS`` [s]."""
 DELAYS = np.arange(0.0, MAX_DELAY, GRID)
 """Delays that are tried before the best of them is refined [s]."""
@@ -77,10 +77,23 @@ def low_pass_motion(piece: Recording) -> tuple[Array, Array, Array]:
     return low_pass(piece.time, piece.q), qd, qdd
 
 
+def low_pass_pieces(pieces: Sequence[Recording], values: Array) -> Array:
+    """Return values (M, ...) of all samples of pieces, each piece behind the low-pass."""
+    ends = np.cumsum([len(piece) for piece in pieces])
+    parts = np.split(values, ends[:-1])
+    smooth = [low_pass(piece.time, part) for piece, part in zip(pieces, parts)]
+    return np.concatenate(smooth)
+
+
 def distances(pieces: Sequence[Recording], delay: float) -> Array:
     """Return the distance (M, n) from each position to its command of ``delay`` [s] before, behind
     the low-pass.
     """
+    return low_pass_pieces(pieces, raw_distances(pieces, delay))
+
+
+def raw_distances(pieces: Sequence[Recording], delay: float) -> Array:
+    """Return the distance (M, n) from each position to its command of ``delay`` [s] before."""
     from scipy.interpolate import make_interp_spline
 
     distances = []
@@ -93,7 +106,7 @@ def distances(pieces: Sequence[Recording], delay: float) -> Array:
         middle = 0.5 * sampling_period(piece.time)
         curve = make_interp_spline(piece.time + middle, held)
         at = np.maximum(piece.time - delay, piece.time[0] + middle)
-        distances.append(low_pass(piece.time, curve(at) - piece.q))
+        distances.append(curve(at) - piece.q)
     return np.concatenate(distances)
 
 

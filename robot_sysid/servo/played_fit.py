@@ -17,7 +17,8 @@ import numpy as np
 
 from robot_sysid.records import Array
 from robot_sysid.records.usual_errors import SERVO_FRICTION, SERVO_NUMBERS
-from robot_sysid.servo.fit import LINK_ERROR, ServoFit
+from robot_sysid.servo.equations import LINK_ERROR
+from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.simulation.playback import STEP, servos_in_model
 

@@ -18,12 +18,13 @@ from robot_sysid.records import Array, DataOrigin, RobotModel, file_access
 from robot_sysid.records.quantities import DATA, MODEL, Quantity
 from robot_sysid.results.table import cells, label, table_lines
 from robot_sysid.results.written_model import versions
-from robot_sysid.servo.fit import LINK_ERROR, ServoFit
+from robot_sysid.servo.equations import LINK_ERROR
+from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.loop import rms
 from robot_sysid.servo.windows import WINDOW
-from robot_sysid.simulation.playback import chain_actuators, servos_in_model
+from robot_sysid.simulation.playback import chain_actuators, early_by, servos_in_model
 
-SERVO_SCHEMA = "robot-sysid servo 4"
+SERVO_SCHEMA = "robot-sysid servo 5"
 """Name and version of the format of servo.json."""
 WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
@@ -35,8 +36,20 @@ UNITS = {
     **{term.attribute: term.units[0] for term in (VISCOUS, COULOMB, ROTOR)},
 }
 """The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
-STILL = "the joint moves too little or too slowly in these logs: it keeps the model's numbers"
+STILL = (
+    "the joint moves too little or too slowly in these logs, or its servo is nearly always at its "
+    "torque limit: it keeps the model's numbers"
+)
 """Reason of a joint's numbers that nothing shows."""
+LIMITED = (
+    "its servo is at its torque limit in most of its motion: it keeps the model's numbers; move it "
+    "more gently"
+)
+"""Reason of a joint's numbers of which too few samples beside the limit are left."""
+MOSTLY = 0.5
+"""Share of limited samples from which the limit is the reason that nothing is known."""
+LEAST_LIMITED = 0.005
+"""Share of samples at a limit from which it is worth a sentence."""
 WORSE = (
     "what was found predicts positions worse than the model's numbers, which all stay"
 )
@@ -74,15 +87,21 @@ class ServoIdentification:
 
     @property
     def quantities(self) -> Iterator[Quantity]:
-        """Yield the delay of the commands, then each of ``UNITS`` of all joints.
+        """Yield the delay of the commands, dead zones, then each of ``UNITS`` of all joints.
 
         A gain of a joint without a position actuator has a NaN model.
         """
         fit = self.fit
         yield Quantity("command_delay", "arm", "s", None, fit.delay, fit.delay_error)
+        in_steps = fit.delay + early_by(self.robot)
+        yield Quantity("simulated_delay", "arm", "s", None, in_steps, fit.delay_error)
+        for k in np.flatnonzero(fit.dead_zones).tolist():
+            found = fit.dead_zones[k], fit.dead_zone_errors[k]
+            yield Quantity("dead_zone", self.robot.joint_names[k], "rad", 0.0, *found)
         before = servos_in_model(self.robot).numbers
-        cases = [~fit.is_known, ~self.is_new, ~fit.is_shown]
-        reasons = np.select(cases, [STILL, WORSE, NOT_ALONE], "")
+        is_limited = ~fit.is_known & (fit.limited_share > MOSTLY)
+        cases = [is_limited, ~fit.is_known, ~self.is_new, ~fit.is_shown]
+        reasons = np.select(cases, [LIMITED, STILL, WORSE, NOT_ALONE], "")
         arrays = before, fit.numbers, fit.errors, reasons
         for (name, unit), *rows in zip(UNITS.items(), *arrays):
             for of, model, value, error, reason in zip(self.robot.joint_names, *rows):
@@ -149,6 +168,20 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
     for row in result.quantities:
         if row.name == "gain" and row.reason:
             yield f"gain of {row.of}: {row.reason}"
+    fit = result.fit
+    for k in np.flatnonzero(
+        fit.is_known & (fit.limited_share > LEAST_LIMITED)
+    ).tolist():
+        yield (
+            f"the servo of {result.robot.joint_names[k]} reaches its torque limit: these "
+            f"{100.0 * fit.limited_share[k]:.0f} % of its motion are left out; gentler motion "
+            "shows more"
+        )
+    if np.any(fit.dead_zones):
+        yield (
+            "the written model has no dead zone, as MuJoCo has none: in a simulation, give the "
+            "servos q + e - clip(e, -dead_zone, dead_zone) with e = command - q"
+        )
     has_servo = np.isfinite(chain_actuators(result.robot).stiffness)
     without = np.array(result.robot.joint_names)[result.is_new & ~has_servo]
     if len(without):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.held_out import is_clearly_lower
 from robot_sysid.records import Array, Recording
-from robot_sysid.servo.loop import MAX_DELAY, commands, longest_period, low_pass_motion
+from robot_sysid.servo.loop import commands, longest_period, low_pass_motion
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     MAX_WINDOWS,
@@ -31,6 +31,11 @@ from robot_sysid.simulation.playback import (
 
 WINDOW = 1.0
 """Length of a window [s]."""
+BEGINNING = 0.2
+"""Least time at the beginning of a piece that is not played [s]: commands before it act there, late
+by the delay and by what a servo takes to follow."""
+FOLLOWING = 0.05
+"""Time beyond the delay in which a servo follows most of a command [s]."""
 HIDDEN = 5e-4
 """Position error that no encoder shows [rad or m]: a third of a step of 4096 a turn."""
 
@@ -45,6 +50,7 @@ class ServoProblem:
     Args:
         rollouts: plays the windows on the arm's model.
         pieces: of logs, which have commands.
+        delay: of the commands, as far as it is known [s].
 
     Attributes:
         rollouts: as given.
@@ -55,13 +61,16 @@ class ServoProblem:
     Raises InputError where no piece is long enough for one window after its beginning.
     """
 
-    def __init__(self, rollouts: ServoRollouts, pieces: Sequence[Recording]) -> None:
+    def __init__(
+        self, rollouts: ServoRollouts, pieces: Sequence[Recording], delay: float = 0.0
+    ) -> None:
         self.rollouts = rollouts
         count = int(WINDOW / longest_period(pieces))
+        unplayed = max(BEGINNING, delay + FOLLOWING)
         cut = []
         for piece in pieces:
             _, qd, _ = low_pass_motion(piece)
-            beginning = round(MAX_DELAY / sampling_period(piece.time))
+            beginning = round(unplayed / sampling_period(piece.time))
             for first in range(beginning, len(piece) - count, count):
                 at = slice(first, first + count)
                 start = piece.time[first]

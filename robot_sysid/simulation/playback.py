@@ -10,7 +10,12 @@ release has it with several models at a time; older ones step in Python.
 
 Played are the commands of an arm behind position servos, whose torque is
 
-    tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
+    tau = clip(Kp e - kv qd, +-limit) - (D - kv) qd - friction,
+    e = beyond(command(t - delay) - q, dead zone)
+
+Within its dead zone, the play of its gears, a servo gives no torque, and beyond it only for what is
+beyond. No actuator of MuJoCo does so: rollouts with a dead zone set a control that amounts to it
+before each step.
 
 D is the damping of joint and servo together. The servo's part kv shows in the motion only while the
 servo is at its limit, so kv/D stays the model's: with kv itself kept, an arm of less damping would
@@ -24,7 +29,7 @@ Shapes: n joints of the chain, base to terminal; W windows at a time; S steps in
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,10 +88,12 @@ class ServoParameters:
         numbers: (4, n) of each joint its gain Kp [N m/rad], its damping D, of joint and servo
             together [N m s/rad], its dry friction [N m] and its rotor inertia [kg m^2].
         delay: time by which all commands act late [s].
+        dead_zones: (n,) distance from the command within which a servo gives no torque [rad or m].
     """
 
     numbers: Array
     delay: float
+    dead_zones: Array
 
 
 @dataclass(frozen=True)
@@ -148,13 +155,15 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
 
 
 def servos_in_model(robot: RobotModel) -> ServoParameters:
-    """Return the servo parameters that the model has: no delay, NaN gains without a servo.
+    """Return the servo parameters that the model has: no delay, no dead zone, NaN gains without a
+    servo.
 
     The damping is that of joint and servo together.
     """
     actuators = chain_actuators(robot)
     resistances = actuators.damping, robot.friction.coulomb, robot.armature
-    return ServoParameters(np.stack((actuators.stiffness, *resistances)), 0.0)
+    numbers = np.stack((actuators.stiffness, *resistances))
+    return ServoParameters(numbers, 0.0, np.zeros(robot.n_joints))
 
 
 @dataclass(frozen=True)
@@ -174,6 +183,23 @@ class ServoWindow:
     qd: Array
     time: Array
     command: Array
+
+
+def early_by(robot: RobotModel) -> float:
+    """Return the time by which MuJoCo, in the steps of the file, acts on a command too early [s].
+
+    Its steps move positions by the velocity at their end: what is commanded at the beginning of a
+    step acts as if it came half a step before. Runge-Kutta steps do not.
+    """
+    options = robot.mj_model.opt
+    if options.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+        return 0.0
+    return 0.5 * float(options.timestep)
+
+
+def beyond(distance: Array, dead_zone: Array | float) -> Array:
+    """Return the part of distances from commands that is beyond a servo's dead zone."""
+    return distance - np.clip(distance, -dead_zone, dead_zone)
 
 
 def mean_commands(time: Array, command: Array, edges: Array) -> Array:
@@ -222,7 +248,12 @@ class ServoRollouts:
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
         self.actuators = chain_actuators(robot)
 
-    def play(self, starts: ArrayLike, inputs: Array) -> Array:
+    def play(
+        self,
+        starts: ArrayLike,
+        inputs: Array,
+        feedback: Callable[[int, Array], Array] | None = None,
+    ) -> Array:
         """Return chain positions (W, S + 1, n) in W windows, the start included.
 
         Positions are NaN from where a rollout diverged.
@@ -230,6 +261,8 @@ class ServoRollouts:
         Args:
             starts: (W, 2, n) positions, and velocities half a step before [rad, rad/s].
             inputs: (W, S, nu + nv) inputs of the model in each step.
+            feedback: returns inputs (W, 1, nu + nv) that replace those of a step, from its number
+                and the positions (W, n) at its start.
         """
         model = self.model
         data = self._data[0]
@@ -238,13 +271,15 @@ class ServoRollouts:
             set_chain_state(self.robot, model, data, q, qd)
             mujoco.mj_getState(model, data, state, _STATE)
         with captured_warnings():
-            if self._pool is None:
-                states = self._run_stepwise(first, inputs)
+            if feedback is None:
+                states = self._run(first, inputs)
             else:
-                models = [model] * len(first)
-                states, _ = self._pool.rollout(
-                    models, self._data, first, inputs, control_spec=_INPUTS
-                )
+                states = np.empty((*inputs.shape[:2], first.shape[1]))
+                state = first
+                for step in range(inputs.shape[1]):
+                    q = state[:, 1 + self.robot.qpos_index]
+                    state = self._run(state, feedback(step, q))[:, 0]
+                    states[:, step] = state
         # A state is the time, then the positions, then more.
         states = np.concatenate((first[:, None], states), axis=1)
         q = states[:, :, 1 + self.robot.qpos_index]
@@ -254,6 +289,39 @@ class ServoRollouts:
         is_well = np.all(np.abs(q) < DIVERGED, axis=2) & (late < 0.5 * timestep)
         q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
         return q
+
+    def _run(self, starts: Array, inputs: Array) -> Array:
+        """Return the states (W, S, s) after each step from starts (W, s).
+
+        Args:
+            starts: MuJoCo's states.
+            inputs: (W, S, nu + nv) inputs of the model in each step.
+        """
+        if self._pool is None:
+            return self._run_stepwise(starts, inputs)
+        models = [self.model] * len(starts)
+        states, _ = self._pool.rollout(
+            models, self._data, starts, inputs, control_spec=_INPUTS
+        )
+        return states
+
+    def _inputs(self, command: Array, gain: Array) -> Array:
+        """Return the model's inputs (W, S, nu + nv): controls, then forces on the joints.
+
+        Args:
+            command: (W, S, n) commanded positions.
+            gain: (n,) of the servos; springs stand for those that the model does not have.
+        """
+        robot = self.robot
+        index = self.actuators.index
+        driven = index != NO_ACTUATOR
+        rows = [control_rows(self.model, actuator)[0] for actuator in index[driven]]
+        inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
+        inputs[:, :, rows] = command[:, :, driven]
+        spring_rest = robot.mj_model.qpos_spring[robot.qpos_index]
+        spring = gain * ~driven * (command - spring_rest)
+        inputs[:, :, self.model.nu + robot.dof_index] = spring
+        return inputs
 
     def _run_stepwise(self, starts: Array, inputs: Array) -> Array:
         """Return the states (W, S, s) after each step, from starts (W, s), one after the other.
@@ -283,25 +351,25 @@ class ServoRollouts:
             windows: starts and commands of the W windows.
             edges: (S + 1,) ends of the steps of every window, from its start [s], evenly spaced.
         """
-        robot = self.robot
         self.model.opt.timestep = edges[1] - edges[0]
         self.set_servos(servos)
-        index = self.actuators.index
-        driven = index != NO_ACTUATOR
-        rows = [control_rows(self.model, actuator)[0] for actuator in index[driven]]
-        spring_rest = robot.mj_model.qpos_spring[robot.qpos_index]
         commands = []
         for window in windows:
             # Between the velocities, which are half a step before the positions.
             times = window.start + edges - 0.5 * edges[1] - servos.delay
             commands.append(mean_commands(window.time, window.command, times))
         command = np.stack(commands)
-        # As MuJoCo has them: those of the nu actuators, then the forces on the joints.
-        inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
-        inputs[:, :, rows] = command[:, :, driven]
-        spring = servos.numbers[0] * ~driven * (command - spring_rest)
-        inputs[:, :, self.model.nu + robot.dof_index] = spring
-        return self.play([(window.q, window.qd) for window in windows], inputs)
+        gain = servos.numbers[0]
+
+        def acting(step: int, q: Array) -> Array:
+            """Return the inputs whose servos without dead zones give what those with them give."""
+            distance = command[:, step] - q
+            moved = q + beyond(distance, servos.dead_zones)
+            return self._inputs(moved[:, None], gain)
+
+        starts = [(window.q, window.qd) for window in windows]
+        feedback = acting if np.any(servos.dead_zones) else None
+        return self.play(starts, self._inputs(command, gain), feedback)
 
     def set_servos(self, servos: ServoParameters) -> None:
         """Write servo parameters into the model, over those of an earlier call.

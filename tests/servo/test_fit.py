@@ -8,7 +8,8 @@ import pytest
 from rigs.arms.small_arms import robot_of
 from rigs.logs.servo_logs import positions, sines_and_steps
 from robot_sysid.records import Recording
-from robot_sysid.servo.fit import LINK_ERROR, fit_servos
+from robot_sysid.servo.equations import LINK_ERROR
+from robot_sysid.servo.fit import fit_servos
 from robot_sysid.servo.loop import rms
 from robot_sysid.servo.played_fit import refine_by_playing
 from robot_sysid.servo.windows import ServoProblem
@@ -26,8 +27,9 @@ ARM = """<mujoco><worldbody><body>
 <actuator><position joint="lift" kp="{kp}"{limit}/><position joint="roll" kp="{kp}"/></actuator>
 </mujoco>"""
 """A joint that carries a link, and one whose link weighs nothing."""
+NO_PLAY = np.zeros(2)
 TRUTH = ServoParameters(
-    np.array([[14.0, 14.0], [0.6, 0.4], [0.06, 0.05], [0.028, 0.02]]), 0.04
+    np.array([[14.0, 14.0], [0.6, 0.4], [0.06, 0.05], [0.028, 0.02]]), 0.04, NO_PLAY
 )
 
 
@@ -132,7 +134,7 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     robot = robot_of(SMALL)
     in_model = servos_in_model(robot)
     others = [[0.11, 0.1], [0.02, 0.018]]
-    truth = ServoParameters(np.vstack((in_model.numbers[:2], others)), 0.02)
+    truth = ServoParameters(np.vstack((in_model.numbers[:2], others)), 0.02, NO_PLAY)
     # Small steps: at its limit, a step's error acts as rotor inertia.
     piece = log(robot, 0.8, truth, steps=200, seconds=4.0)
     fit = fit_to(robot, piece)

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 from rigs.arms.small_arms import robot_of
 from rigs.logs.servo_logs import positions, sines_and_steps
 from robot_sysid.records import Recording
-from robot_sysid.servo.fit import fit_servos, loop_columns, solve_not_negative
+from robot_sysid.servo.equations import loop_columns, solve_not_negative
+from robot_sysid.servo.fit import fit_servos
 from robot_sysid.servo.loop import distances, goal_error, low_pass, low_pass_motion
 from robot_sysid.simulation.playback import ServoParameters
 
@@ -29,7 +30,7 @@ def random_servos(seed):
     rng = np.random.default_rng(seed)
     usual = np.array([14.0, 0.5, 0.06, 0.03])[:, None]
     numbers = usual * np.exp(rng.uniform(-0.5, 0.5, (4, 2)))
-    return ServoParameters(numbers, rng.uniform(0.0, 0.05))
+    return ServoParameters(numbers, rng.uniform(0.0, 0.05), np.zeros(2))
 
 
 def log_of(robot, servos, seed=0):

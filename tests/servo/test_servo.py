@@ -42,7 +42,9 @@ def robots(tmp_path_factory):
 def identification(robot, error=0.1):
     numbers = np.outer((GAIN, 3.0, 0.2, 0.1), np.ones(2))
     true = np.ones(2, dtype=bool)
-    fit = ServoFit(numbers, 0.02, 0.01 + 0 * numbers, ~true, true, 1e-3)
+    none = np.zeros(2)
+    errors = 0.01 + 0 * numbers
+    fit = ServoFit(numbers, 0.02, none, errors, ~true, true, 1e-3, none, none)
     origin = DataOrigin("log log.csv", 10.0, 50.0)
     after = np.full(2, error)
     errors = np.ones(2), after, 0.5
@@ -95,7 +97,8 @@ def test_a_gain_that_the_logs_do_not_show_is_said(robots):
     result = replace(result, fit=replace(result.fit, errors=errors))
     (note,) = servo_notes(result)
     assert "joint1" in note and "only ratios" in note
-    delay, *rows = result.quantities
+    delay, in_steps, *rows = result.quantities
+    assert in_steps.value == delay.value + 0.5 * robots["xml"].mj_model.opt.timestep
     assert (delay.name, delay.value) == ("command_delay", 0.02)
     marked = [(row.name, row.of) for row in rows if row.source == "model"]
     assert marked == [("gain", "joint1")]
@@ -142,6 +145,7 @@ SO_ARM = """<mujoco><worldbody><body><joint name="lift" {joint}/>
 SO_TRUTH = ServoParameters(
     np.array([[14.0] * 3, [0.5, 0.45, 0.4], [0.06, 0.08, 0.03], [0.025, 0.03, 0.035]]),
     0.02,
+    np.zeros(3),
 )
 
 
@@ -222,7 +226,18 @@ def test_numbers_are_judged_by_what_was_fitted_and_by_what_was_not(so_arm, share
     numbers = SO_TRUTH.numbers.copy()
     numbers[1, 2] *= 4.0
     is_known = np.ones(3, dtype=bool)
-    found = ServoFit(numbers, SO_TRUTH.delay, 0.1 * numbers, ~is_known, is_known, 1e-3)
+    none = np.zeros(3)
+    found = ServoFit(
+        numbers,
+        SO_TRUTH.delay,
+        none,
+        0.1 * numbers,
+        ~is_known,
+        is_known,
+        1e-3,
+        none,
+        none,
+    )
     rollouts = ServoRollouts(so_arm)
     problems = []
     for seed, share in enumerate(shares):
@@ -311,7 +326,7 @@ def test_the_rate_of_a_log_decides_nothing(rate):
         ),
         (FOLLOWED, FOLLOWED, COPIED),
         (FOLLOWED, FUTURE, COPIED),
-        (delay(COMMAND, 14), COMMAND, ("0.28 s before", "0.2 s")),
+        (delay(COMMAND, 30), COMMAND, ("0.6 s before", "0.5 s")),
         (COMMAND + NOISE, delay(COMMAND, 3), ("-0.06 s before", "exchanged")),
         (FOLLOWED, RNG.normal(size=COMMAND.shape), ("correlation of 0.0",)),
         (FOLLOWED, -COMMAND, ("change -1", "sign")),
