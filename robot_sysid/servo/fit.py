@@ -52,6 +52,8 @@ NEARBY = GRID * np.arange(-2.0, 3.0)
 """Delays around the last that are tried again [s]: an unseen torque limit moves it by 0.016 s."""
 CREEP_DELAY = 1e-4
 """Error of the delay by friction that creeps [s]."""
+CREEP_DEAD_ZONE = 3e-4
+"""Error of a dead zone by friction that creeps, and by commands between samples [rad]."""
 SAMPLING_DELAY = 0.02
 """Error of the delay by sampling, over the sampling period."""
 
@@ -159,6 +161,6 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Recording]) -> ServoFit:
         is_fast=is_fast,
         is_known=is_known,
         delay_error=delay_error,
-        dead_zone_errors=np.where(has_dead_zone, searched[:, 1], 0.0),
+        dead_zone_errors=has_dead_zone * np.hypot(searched[:, 1], CREEP_DEAD_ZONE),
         limited_share=np.where(is_fast, 0.0, equations.limited_share),
     )
