@@ -23,7 +23,7 @@ from robot_sysid.records.option_fields import given_values
 from tests.test_config import CONFIGS
 
 IDENTIFY = COMMANDS["identify"]
-MOST_OPTIONS = 32
+MOST_OPTIONS = 31
 ARM = "an 'arm'.xml"
 MOTORS = ([ARM, "--export-damiao"], [ARM, "--motor-type", "DM4340"])
 LOGS = [ARM, "--empty", "a.csv", "--loaded", "b.csv"]
