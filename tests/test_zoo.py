@@ -19,7 +19,7 @@ from robot_sysid import spatial
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.model.bodies import body_theta
-from robot_sysid.motion import ExcitationOptions, LimitOptions
+from robot_sysid.motion import Effort, ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import build_problem
@@ -153,14 +153,14 @@ TO_PLAN_FOR = [
     ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
     ("so101/so101_new_calib.xml", None),
 ]
-FEW_DRAWS = {"draws": 60, "rounds": 6, "iterations": 30}
+EFFORT = Effort(draws=60, rounds=6, iterations=30)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("model", "joint"), TO_PLAN_FOR)
 def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
     robot = load_robot_model(MODELS / model, joint=joint)
-    options = ExcitationOptions(**FEW_DRAWS)
+    options = ExcitationOptions(effort=EFFORT)
     problem = build_problem(robot, LimitOptions())
     knowledge = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, options, TrajectoryOptions(), knowledge)
@@ -178,5 +178,5 @@ def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
     assert witness.new_contacts(robot, plan, 1000.0) == set()
     motion = plan.evaluate(design.grid[INFORMATION_POINTS])
     score = design.criterion.evaluate((motion.q, motion.qd, motion.qdd))
-    draws = [draw_trajectory(design, 1, k) for k in range(FEW_DRAWS["draws"])]
+    draws = [draw_trajectory(design, 1, k) for k in range(EFFORT.draws)]
     assert np.exp(score) < 0.8 * np.exp(min(draw.score for draw in draws))

@@ -1,5 +1,6 @@
 """Arms with geometry, and excitation problems that are small enough to search in a moment."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from robot_sysid.estimate.options import (
     DEFAULT_TERMINAL,
     friction_terms,
 )
-from robot_sysid.motion import ExcitationOptions, LimitOptions
+from robot_sysid.motion import Effort, ExcitationOptions, LimitOptions
 from robot_sysid.motion.information import PriorKnowledge
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
 from robot_sysid.motion.search import Design
@@ -37,7 +38,7 @@ TOUCHING_AT_REST = TUBES_AND_POST.replace(
 )
 
 DURATION = 6.0
-SMALL = {"draws": 6, "rounds": 1, "iterations": 8}
+SMALL = Effort(draws=6, rounds=1, iterations=8)
 
 
 @cache
@@ -46,9 +47,9 @@ def robot(xml):
     return small_arms.robot_of(xml)
 
 
-def options(**changes):
-    """Options of a search that takes a fraction of a second."""
-    return ExcitationOptions(**{**SMALL, **changes})
+def options(time_budget=None, **changes):
+    """Options of a search that takes a fraction of a second; ``changes`` are of its effort."""
+    return ExcitationOptions(time_budget=time_budget, effort=replace(SMALL, **changes))
 
 
 @cache

@@ -151,10 +151,11 @@ class _Walls:
             if np.any(height <= 0.0):
                 first = np.argmax(height <= 0.0)
                 body = body_label(mj_model, held[first].item())
+                depth = round(-1e3 * height[first])
+                place = f"is {depth} mm beyond" if depth else "touches"
                 raise InputError(
-                    f"no trajectory is feasible: at rest, body {body} is "
-                    f"{-1000 * height[first]:.0f} mm beyond {space.label}; move that limit, or "
-                    "change the model's reference configuration"
+                    f"no trajectory is feasible: at rest, body {body} {place} {space.label}; "
+                    "move that limit, or change the model's reference configuration"
                 )
             kept = np.minimum(space.clearance, KEPT_SHARE * height)
             self._required[number, held] = kept
@@ -359,7 +360,7 @@ class Clearance:
             elif distances[a, b] < -LARGEST_OVERLAP:
                 required = clearance
                 depth = -1e3 * distances[a, b]
-                collisions.append(f"{self._label(a, b)} ({depth:.2g} mm deep)")
+                collisions.append(f"{self._label(a, b)} ({round(depth)} mm deep)")
             self._required[a, b] = self._required[b, a] = required
         return collisions
 

@@ -55,5 +55,9 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
     above = tuple(planes.bodies[~is_below].tolist())
     # Adding zero turns -0.0 into 0.0.
     lifts = option_name("below_base")
-    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m ({lifts} lifts it)"
+    millimetres = round(1e3 * height)
+    label = (
+        f"the plane that the arm is mounted on, at a height of {millimetres} mm "
+        f"({lifts} lifts it)"
+    )
     return HalfSpace(up, height, clearance=0.0, bodies=above, label=label)

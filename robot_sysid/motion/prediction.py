@@ -17,10 +17,22 @@ from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.starts import contact_on_the_way
 from robot_sysid.records import LIMITED, Array, LimitUse, MotionPlan
-from robot_sysid.records.messages import Detail, percent, position_unit
+from robot_sysid.records.messages import (
+    Detail,
+    percent,
+    position_unit,
+    size_text,
+    torque_unit,
+)
 from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.wording import option_setting
 
+PER_TIME = ("", "/s", "/s²")
+"""What position, velocity and acceleration add to the unit of a position."""
+LEAST_MASS = 1e-4
+"""Smallest mass that is written as a number [kg]: no arm shows a tenth of a gram."""
+LEAST_MILLIMETRES = 0.01
+"""Smallest length that is written as a number [mm]."""
 LARGE_SHARE = 0.2
 """Predicted standard error over the parameter's size above which the parameter is named."""
 
@@ -105,15 +117,26 @@ def limit_lines(
     if not check.excesses:
         nearness = ""
         if np.isfinite(closest.distance):
-            nearness = (
-                f"; least room between {closest.label}, about "
-                f"{1e3 * closest.distance:.0f} mm apart"
-            )
+            room = _distance_text(closest.distance)
+            nearness = f"; least room between {closest.label}, {room}"
         yield f"Keeps all limits for {plan.duration:.1f} s{nearness}"
     for sentence in problem.missing_limits:
         yield sentence[0].upper() + sentence[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess_text(excess)}"
+
+
+def _distance_text(distance: float) -> str:
+    """Return how far apart two bodies are, in words and whole millimetres.
+
+    ``distance`` is negative of bodies that are inside each other, as parked arms are.
+    """
+    millimetres = round(1e3 * distance)
+    if millimetres > 0:
+        return f"about {millimetres} mm apart"
+    if millimetres == 0:
+        return "which touch (0 mm)"
+    return f"which are {-millimetres} mm inside each other, as at rest"
 
 
 def excess_text(excess: LimitUse) -> str:
@@ -131,7 +154,7 @@ def file_line(file: ExpectedFile, mass_error: float) -> str:
     if file.friction is not None:
         details.append(f"friction to {percent(file.friction)}")
     if np.isfinite(mass_error):
-        details.append(f"a load to ± {mass_error:.2g} kg")
+        details.append(f"a load to ± {_mass_text(mass_error)}")
     sentence = (
         f"After this motion the written file is expected to be {percent(file.after)} off on any "
         f"motion up to {file.speed:.2g} {file.speed_unit} (the model: {percent(file.before)})"
@@ -160,10 +183,10 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
     causes = sorted(prediction.by_cause.items(), key=lambda cause: -cause[1][0])
     if np.isfinite(mass):
         share = percent(prediction.relative_mass_error)
-        yield f"  mass ± {mass:.2g} kg ({share}), limited by {causes[0][0]}"
+        yield f"  mass ± {_mass_text(mass)} ({share}), limited by {causes[0][0]}"
     if np.isfinite(centre):
         cause = max(causes, key=lambda cause: cause[1][1])[0]
-        yield f"  centre of mass ± {1e3 * centre:.2g} mm, limited by {cause}"
+        yield f"  centre of mass ± {_length_text(centre)}, limited by {cause}"
     if prediction.link_mass_errors:
         listed = ", ".join(
             f"{name} {percent(error)}"
@@ -186,8 +209,19 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
         )
     for cause, (mass_error, centre_error) in causes:
         yield Detail(
-            f"  by {cause}: mass {mass_error:.2g} kg, centre of mass {1e3 * centre_error:.2g} mm"
+            f"  by {cause}: mass {_mass_text(mass_error)}, centre of mass "
+            f"{_length_text(centre_error)}"
         )
+
+
+def _mass_text(kilograms: float) -> str:
+    """Return a mass with two digits."""
+    return size_text(kilograms, LEAST_MASS, "kg")
+
+
+def _length_text(metres: float) -> str:
+    """Return a length in millimetres with two digits."""
+    return size_text(1e3 * metres, LEAST_MILLIMETRES, "mm")
 
 
 def motion_lines(
@@ -197,14 +231,16 @@ def motion_lines(
     assumed limits are no detail.
     """
     yield Detail("Largest values, a position from the middle of its range:")
-    for use in check.uses:
-        numbers = f"{abs(use.value):.2f} of {abs(use.limit):.2f} at {use.time:.2f} s"
-        yield Detail(f"  {numbers}: {use.name}")
+    for use, unit in zip(check.uses, _units_of_uses(problem)):
+        numbers = f"{abs(use.value):.2f} {unit}"
+        if np.isfinite(use.limit):
+            numbers = f"{abs(use.value):.2f} of {abs(use.limit):.2f} {unit}"
+        yield Detail(f"  {numbers} at {use.time:.2f} s: {use.name}")
     limits_text = "; ".join(_assumed_limits(problem))
     if limits_text:
         yield f"Limits of this program (check them against the arm's): {limits_text}"
     start = plan.evaluate(np.zeros(1)).q[0]
-    pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
+    pose = ", ".join(_pose_texts(problem, start))
     if np.allclose(start, problem.robot.reference):
         yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
@@ -217,6 +253,24 @@ def motion_lines(
     yield "The way there from where the arm stands now is no part of this motion, and not checked"
 
 
+def _units_of_uses(problem: ExcitationProblem) -> list[str]:
+    """Return the unit of each limited quantity, in the order of a check's uses."""
+    is_slide = problem.robot.is_slide
+    units = [
+        f"{position_unit(slides)}{per_time}"
+        for per_time in PER_TIME
+        for slides in is_slide
+    ]
+    return [*units, *map(torque_unit, is_slide), "m/s"]
+
+
+def _pose_texts(problem: ExcitationProblem, pose: Array) -> Iterator[str]:
+    """Yield each joint's name with its position in a pose (n,) and the unit."""
+    for name, q, is_slide in zip(problem.joint_names, pose, problem.robot.is_slide):
+        # Adding zero takes the sign from the -0.000 that rounding leaves.
+        yield f"{name} {round(q, 3) + 0.0:.3f} {position_unit(is_slide)}"
+
+
 def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
     """Yield the limits that neither the model nor an option states, such as "velocity 2 rad/s of
     joint0, joint1": a real arm may allow less than that.
@@ -225,7 +279,7 @@ def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
     quantities = [*LIMITED]
     joints: dict[str, list[str]] = {}
     for row, joint in np.argwhere(problem.assumed):
-        unit = position_unit(problem.robot.is_slide[joint]) + ("", "/s", "/s²")[row]
+        unit = position_unit(problem.robot.is_slide[joint]) + PER_TIME[row]
         limit = f"{quantities[row]} {largest[row, joint]:.4g} {unit}"
         joints.setdefault(limit, []).append(problem.joint_names[joint])
     for limit, names in joints.items():

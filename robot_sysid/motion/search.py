@@ -52,6 +52,9 @@ from robot_sysid.wording import option_name
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
 those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
+OBSTACLE_POINTS = slice(None, None, 2)
+"""Grid points at which distances are computed: with all of them the error to expect is the same
+within 0.1 % (OpenArm, SO-101). Whether distances are kept is checked between all samples."""
 INFORMATION_POINTS = slice(1, None, 3)
 """Grid points at which the information is computed: 8 per period change no criterion by over
 0.2 %."""
@@ -68,18 +71,25 @@ FADE = 1.5
 """Longest time in which a motion leaves its start [s]: to leave it by 1 rad takes 7.5 / 1.5^2 = 3.3
 rad/s^2, a quarter of the acceleration of a sinusoid of 1 rad at 0.6 Hz. Short ones have a quarter
 of their duration."""
-BETWEEN_POINTS = 0.003
+BETWEEN_POINTS = 0.006
 """Distance that the search keeps beyond the required one [m]: a pair that approaches at 9 cm/s
-comes so much nearer in half a step of the grid, 0.033 s."""
+comes so much nearer in half a step between the postures that it looks at, 0.067 s."""
 SINGULAR = 1e6
 """The criterion where it is infinite: the optimiser needs a number."""
 LEAST_GAIN = 0.01
-"""Gain of a round in the mean standard deviation, relative, below which a search ends. On most
-public arms another minute of search would then gain at most 5 %."""
+"""Gain of a round in the mean standard deviation, relative, below which a search ends: what follows
+gains less per evaluation, as a rule half of it per round."""
 LEAST_LEAD = 0.05
 """How much better the motion that breaks limits is than the best that keeps them, relative, for a
 search to go on without a gain: a round may only adapt the multipliers, and the next one turns that
 lead into a gain."""
+CHECK_RATE_HZ = 100.0
+"""Rate at which limits of joints and tool are checked between rounds [Hz]: sinusoids of 0.6 Hz
+exceed their peaks at these samples by 0.02 % at most."""
+FEW_POSTURES = 8
+"""Of how many postures of a random motion one is looked at first."""
+MOST_DRAWS = 3
+"""Times the usual number of random trajectories that are drawn at most, where none can be used."""
 MIDDLE = (0.2, 0.8)
 """Part of each joint's range about whose positions random trajectories oscillate."""
 APPROACH_SHARE = 0.7
@@ -102,6 +112,7 @@ class Design:
     Attributes:
         problem: the arm and its limits.
         options: of the search.
+        effort: of the search.
         duration: of the motion [s].
         top_frequency_hz: frequency of the last harmonic [Hz].
         size: number M of free coefficients per joint: offset, sines, cosines.
@@ -121,6 +132,7 @@ class Design:
     ) -> None:
         self.problem = problem
         self.options = options
+        self.effort = options.search_effort
         self.duration = motion.duration
         base = math.ceil(self.duration / LONGEST_PERIOD) / self.duration
         # At least three. A quotient that rounding puts just below a whole number counts as that.
@@ -200,12 +212,17 @@ def constraints_of(
         motion: (3, N, n) q, qd and qdd.
         extra_slack: distance to keep in addition to the required one [m].
     """
+    at = OBSTACLE_POINTS
+    slack, slack_gradient = problem.obstacles.slack(motion[0, at])
+    # What is not looked at is far from its limit.
+    missing = np.full(motion.shape[1], -1.0)
+    missing[at] = (extra_slack - slack) / OBSTACLE_LENGTH
     signals = np.abs(problem.signals(motion_of_samples(*motion)))
-    slack, slack_gradient = problem.obstacles.slack(motion[0])
     limits = LIMIT_SHARE * problem.limits.columns
-    missing = (extra_slack - slack) / OBSTACLE_LENGTH
     value = np.column_stack((signals / limits - 1.0, missing))
-    return value, -slack_gradient / OBSTACLE_LENGTH
+    by_position = np.zeros_like(motion[0])
+    by_position[at] = -slack_gradient / OBSTACLE_LENGTH
+    return value, by_position
 
 
 def constraint_gradient(
@@ -296,7 +313,7 @@ def improve(
         jac=True,
         method="L-BFGS-B",
         callback=lambda _: tick(),
-        options={"maxiter": design.options.iterations, "maxcor": 20, "maxls": 30},
+        options={"maxiter": design.effort.iterations, "maxcor": 20, "maxls": 30},
     )
     x = unit * found.x.reshape(shape)
     _, _, multipliers = penalised_objective(design, candidate, x)
@@ -306,6 +323,9 @@ def improve(
 def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
     """Return the candidate with the score of its x, and with the largest multiple of x that keeps
     all limits as ``feasible_x``, if that is better than the feasible coefficients it has.
+
+    Joints and tool are sampled at ``CHECK_RATE_HZ``; what the search returns is checked as finely
+    as any motion (``_checked_trajectory``).
     """
     candidate = replace(candidate, score=design.criterion_of(candidate.x))
     for factor in REPAIRS:
@@ -313,9 +333,18 @@ def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
         score = design.criterion_of(x)
         if not score < candidate.feasible_score:
             break
-        if keeps_limits(design.problem, design.trajectory(x)):
+        if keeps_limits(design.problem, design.trajectory(x), CHECK_RATE_HZ):
             return replace(candidate, feasible_x=x, feasible_score=score)
     return candidate
+
+
+def _checked_trajectory(design: Design, x: Array) -> SineTrajectory:
+    """Return the largest multiple of coefficients x (n, M) that keeps all limits at any time."""
+    for factor in REPAIRS:
+        plan = design.trajectory(factor * x)
+        if keeps_limits(design.problem, plan):
+            break
+    return plan
 
 
 def design_excitation(
@@ -339,11 +368,12 @@ def design_excitation(
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
         KeyboardInterrupt: interrupted among the random trajectories.
     """
-    options = design.options
+    effort = design.effort
+    time_budget = design.options.time_budget
     # The two best random trajectories are improved by one round; only the best of these gets more
     # rounds. Nobody knows how many follow the first: each counts half of the one before it.
     n_starts = 2
-    n_steps = options.draws + (n_starts + 2) * options.iterations
+    n_steps = effort.draws + (n_starts + 2) * effort.iterations
     begin = clock()
     done = 0.0
 
@@ -352,7 +382,7 @@ def design_excitation(
         nonlocal done
         done += step
         elapsed = clock() - begin
-        used = elapsed / (options.time_budget or np.inf)
+        used = elapsed / (time_budget or np.inf)
         share = min(max(done / n_steps, used), 1.0)
         progress.advance(SEARCHING, share, 1.0, f"{elapsed:.0f} s")
         return used > 1.0
@@ -363,9 +393,13 @@ def design_excitation(
             raise TimeoutError
 
     seed = int(rng.integers(2**62))
-    draws = []
-    for number in range(options.draws):
+    draws: list[Draw] = []
+    n_usable = 0
+    for number in range(MOST_DRAWS * effort.draws):
+        if n_usable and number >= effort.draws:
+            break
         draws.append(draw_trajectory(design, seed, number))
+        n_usable += int(np.isfinite(draws[-1].score))
         if is_late(1.0) and np.isfinite(draws[-1].score):
             break
     starts = (
@@ -379,7 +413,7 @@ def design_excitation(
     try:
         for number, start in enumerate(candidates):
             candidates[number] = improve(design, start, partial(tick, 1.0))
-        for number in range(1, options.rounds):
+        for number in range(1, effort.rounds):
             previous = min(candidates, key=attrgetter("feasible_score"))
             best = improve(design, previous, partial(tick, 0.5 ** (number - 1)))
             candidates = [best]
@@ -394,7 +428,7 @@ def design_excitation(
         )
     progress.advance(SEARCHING, 1.0, 1.0, "")
     best = min(candidates, key=attrgetter("feasible_score"))
-    return design.trajectory(best.feasible_x)
+    return _checked_trajectory(design, best.feasible_x)
 
 
 def _infeasibility(draws: list[Draw]) -> str:
@@ -444,15 +478,31 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
     for factor in SHRINKING:
         x = factor * full
         motion = design.motion(x)
-        value, _ = constraints_of(design.problem, motion)
-        if np.max(value) <= ROUNDING:
+        if _is_feasible(design.problem, motion, LIMIT_SHARE):
             return Draw(design.criterion_of(x), x, "")
     # The constraint that the smallest multiple exceeds most.
+    value, _ = constraints_of(design.problem, motion)
     sample, column = np.unravel_index(np.argmax(value), value.shape)
     problem = design.problem
     closest = problem.obstacles.closest_pair(motion[0][sample])
     limits = [*limited_quantities(problem.owners), ("clearance", closest.label)]
     return Draw(np.inf, np.zeros_like(full), limit_name(*limits[column]))
+
+
+def _is_feasible(problem: ExcitationProblem, motion: Array, share: float = 1.0) -> bool:
+    """Return whether the samples of a motion (3, N, n) keep a share of all limits, and distances.
+
+    What is quickly computed comes first, as most motions break a limit: distances of a few
+    postures, then torques and speeds, then the distances of all.
+    """
+    least = -ROUNDING * OBSTACLE_LENGTH
+    some_postures = motion[0, ::FEW_POSTURES]
+    if np.min(problem.obstacles.slack(some_postures)[0]) < least:
+        return False
+    signals = np.abs(problem.signals(motion_of_samples(*motion)))
+    if np.max(signals / problem.limits.columns) > share * (1.0 + ROUNDING):
+        return False
+    return bool(np.min(problem.obstacles.slack(motion[0])[0]) >= least)
 
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:

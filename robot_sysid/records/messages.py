@@ -97,6 +97,16 @@ def with_error(value: float, error: float | None, unit: str = "") -> str:
     return f"{number_text(value, error)} ± {number_text(error, error)} {unit}".rstrip()
 
 
+def size_text(size: float, least: float, unit: str) -> str:
+    """Return a size that is not negative with two digits and its unit, without an exponent.
+
+    "under 0.01 mm" for one below ``least`` that is not zero.
+    """
+    if 0.0 < size < least:
+        return f"under {least:g} {unit}"
+    return f"{number_text(size, size)} {unit}"
+
+
 def percent(share: float) -> str:
     """Return a share in percent with two digits, from 99.5 % on as a whole number.
 

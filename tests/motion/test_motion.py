@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import ExcitationOptions, LimitOptions
+from robot_sysid.motion import THOROUGH, USUAL, ExcitationOptions, LimitOptions
 
 
 @pytest.mark.parametrize(
@@ -39,3 +39,10 @@ def test_half_spaces_follow_the_workspace_and_the_planes():
     assert [side.normal.tolist() for side in box[:2]] == [[1, 0, 0], [0, 1, 0]]
     assert all(side.bodies == (2,) and side.clearance == 0.0 for side in box)
     assert LimitOptions().half_spaces([1], [1]) == ()
+
+
+def test_a_thorough_search_draws_and_improves_more():
+    assert ExcitationOptions().search_effort == USUAL
+    assert ExcitationOptions(thorough=True).search_effort == THOROUGH
+    assert THOROUGH.draws > USUAL.draws
+    assert THOROUGH.iterations > USUAL.iterations

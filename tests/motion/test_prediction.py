@@ -3,13 +3,17 @@
 import re
 
 import numpy as np
+import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from rigs.arms import small_arms
 from rigs.arms.excitation_arms import make_design, make_problem, robot
+from rigs.arms.small_arms import Z, hinge, link, world
+from robot_sysid.motion.clearance import Closest
 from robot_sysid.motion.expected_errors import centre_slopes
-from robot_sysid.motion.limit_check import check_limits
+from robot_sysid.motion.limit_check import LimitCheck, check_limits
+from robot_sysid.motion.mounting import mounting_plane
 from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.motion.search import draw_trajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
@@ -60,4 +64,46 @@ def test_limits_that_neither_the_model_nor_an_option_states_are_named():
     pattern = "acceleration .* rad/s² of turn, bend, roll; acceleration .* m/s² of lift"
     assert speeds in assumed and re.search(pattern, assumed)
     asked = make_problem(slide, max_acceleration=3.0)
-    assert "rad/s²" not in "\n".join(report(asked, sines(slide)))
+    lines = "\n".join(report(asked, sines(slide)))
+    (assumed,) = re.findall("Limits of this program .*", lines)
+    assert "rad/s²" not in assumed
+
+
+@pytest.mark.parametrize(
+    ("distance", "room"),
+    [
+        (0.0031, "about 3 mm apart"),
+        (2e-4, "which touch (0 mm)"),
+        (-1e-9, "which touch (0 mm)"),
+        (-0.0021, "which are 2 mm inside each other, as at rest"),
+    ],
+)
+def test_the_least_room_is_said_in_whole_millimetres(distance, room):
+    problem = make_problem(small_arms.THREE)
+    plan = sines(small_arms.THREE)
+    check = LimitCheck((), Closest(0.0, distance, "hand and table"), ())
+    first, *_ = limit_lines(problem, plan, check)
+    assert (
+        first
+        == f"Keeps all limits for 2.0 s; least room between hand and table, {room}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("height", "place"), [("-9e-10", "0 mm"), ("-0.0024", "-2 mm"), ("0.9", "900 mm")]
+)
+def test_the_mounting_plane_is_at_a_height_in_whole_millimetres(height, place):
+    ball = link(hinge("yaw", Z), '<geom size=".05" pos="0 0 .2"/>', pos="0 0 .3")
+    arm = robot(world(f'<body pos="0 0 {height}">{ball}</body>'))
+    plane = mounting_plane(arm, arm.reference)
+    assert f"at a height of {place} (" in plane.label
+
+
+def test_largest_values_have_a_unit_and_no_infinite_limit():
+    slide = small_arms.SLIDE_IN_CHAIN
+    lines = report(make_problem(slide), sines(slide))
+    values = [line for line in lines if " at " in line and " limit of " in line]
+    assert len(values) == 4 * 4 + 1
+    assert "inf" not in "\n".join(values)
+    pattern = r"  \d+\.\d\d( of \d+\.\d\d)? (rad|m|rad/s|m/s|rad/s²|m/s²|N·m|N) at "
+    assert all(re.match(pattern, line) for line in values)

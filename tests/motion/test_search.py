@@ -238,7 +238,7 @@ def test_the_limit_that_no_draw_keeps_is_named():
     problem = replace(problem, limits=weak)
     motion = TrajectoryOptions(duration=DURATION)
     design = Design(problem, options(), motion, known_arm(problem))
-    with pytest.raises(InputError, match=r"6 of 6 .* torque limit of joint joint"):
+    with pytest.raises(InputError, match=r"18 of 18 .* torque limit of joint joint"):
         design_excitation(design, default_rng(0), Progress())
 
 

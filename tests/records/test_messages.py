@@ -18,6 +18,7 @@ from robot_sysid.records.messages import (
     printable,
     quoted_text,
     shell_line,
+    size_text,
     torque_unit,
 )
 from robot_sysid.records.parameters import ZERO
@@ -102,3 +103,17 @@ def test_a_shell_reads_the_words_of_a_line_again():
         ["bash", "-c", line], capture_output=True, env={"LC_ALL": "C.UTF-8"}
     ).stdout
     assert printed.decode(errors="surrogateescape").split("\0")[:-1] == words
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        (0.0, "0 mm"),
+        (6.3e-20, "under 0.01 mm"),
+        (0.0123, "0.012 mm"),
+        (3.06, "3.1 mm"),
+        (212.4, "212 mm"),
+    ],
+)
+def test_a_size_has_two_digits_and_no_exponent(size, text):
+    assert size_text(size, 0.01, "mm") == text
