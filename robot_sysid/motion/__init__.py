@@ -255,8 +255,8 @@ class ExcitationOptions(OptionRecord):
     )
     thorough: bool = option(
         False,
-        "search until hardly anything is gained, which takes two to three times as long and makes "
-        "the error to expect about 1 % smaller",
+        "search until hardly anything is gained: up to twice as long, for an error to expect that "
+        "is about 1 % smaller",
     )
     time_budget: Optional[float] = option(
         None,
