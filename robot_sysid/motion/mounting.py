@@ -12,6 +12,10 @@ from robot_sysid.motion.planes import Planes
 from robot_sysid.records import Array, HalfSpace, RobotModel
 from robot_sysid.wording import option_name
 
+ON_GROUND = 1e-5
+"""Height up to which a body stands on the ground, not above it [m]: a hundredth of what is ever
+said of a distance, and more than rounding."""
+
 
 def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
     """Return the space above the ground that the arm is mounted on, for the moving bodies above it.
@@ -48,7 +52,7 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
     # How deep what is fixed reaches below the carrier's origin.
     fixed = Planes(model, model.geom_bodyid[counts], [(up, height)], is_part=counts)
     height -= np.max(fixed.depths(data), initial=0.0)
-    planes = Planes(model, moving, [(up, height)])
+    planes = Planes(model, moving, [(up, height)], margin=ON_GROUND)
     is_below = np.isin(planes.bodies, planes.near(data).body)
     if np.any(link_of_body[planes.bodies[is_below]] > 1):
         return None
