@@ -52,9 +52,9 @@ from robot_sysid.wording import option_name
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
 those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
-OBSTACLE_POINTS = slice(None, None, 2)
-"""Grid points at which distances are computed: with all of them the error to expect is the same
-within 0.1 % (OpenArm, SO-101). Whether distances are kept is checked between all samples."""
+OBSTACLE_STEP = 2
+"""Of how many grid points one is looked at for distances, until a motion breaks limits between
+them: mostly the error to expect is the same within 0.1 % (OpenArm, SO-101)."""
 INFORMATION_POINTS = slice(1, None, 3)
 """Grid points at which the information is computed: 8 per period change no criterion by over
 0.2 %."""
@@ -71,9 +71,9 @@ FADE = 1.5
 """Longest time in which a motion leaves its start [s]: to leave it by 1 rad takes 7.5 / 1.5^2 = 3.3
 rad/s^2, a quarter of the acceleration of a sinusoid of 1 rad at 0.6 Hz. Short ones have a quarter
 of their duration."""
-BETWEEN_POINTS = 0.006
-"""Distance that the search keeps beyond the required one [m]: a pair that approaches at 9 cm/s
-comes so much nearer in half a step between the postures that it looks at, 0.067 s."""
+BETWEEN_POINTS = 0.003
+"""Distance that the search keeps beyond the required one [m], for each step of the grid: a pair
+that approaches at 9 cm/s comes so much nearer in half a step, 0.033 s."""
 SINGULAR = 1e6
 """The criterion where it is infinite: the optimiser needs a number."""
 LEAST_GAIN = 0.01
@@ -83,6 +83,9 @@ LEAST_LEAD = 0.05
 """How much better the motion that breaks limits is than the best that keeps them, relative, for a
 search to go on without a gain: a round may only adapt the multipliers, and the next one turns that
 lead into a gain."""
+PATIENCE = 3
+"""Rounds without a gain after which a search ends, though a better motion breaks limits: what is in
+its way lies between the points that the search looks at."""
 CHECK_RATE_HZ = 100.0
 """Rate at which limits of joints and tool are checked between rounds [Hz]: sinusoids of 0.6 Hz
 exceed their peaks at these samples by 0.02 % at most."""
@@ -189,6 +192,7 @@ class Candidate:
             at first.
         score: the criterion at ``x``, smaller is better; infinite if singular.
         feasible_score: the criterion at ``feasible_x``; infinite where none are known.
+        obstacle_step: of how many grid points one is looked at for distances.
     """
 
     x: Array
@@ -196,10 +200,19 @@ class Candidate:
     multipliers: Array | float = 0.0
     score: float = np.inf
     feasible_score: float = np.inf
+    obstacle_step: int = OBSTACLE_STEP
+
+    @property
+    def lead(self) -> float:
+        """How much better the motion is that may break a limit, relative."""
+        return self.feasible_score - self.score
 
 
 def constraints_of(
-    problem: ExcitationProblem, motion: Array, extra_slack: float = 0.0
+    problem: ExcitationProblem,
+    motion: Array,
+    extra_slack: float = 0.0,
+    obstacle_step: int = 1,
 ) -> tuple[Array, Array]:
     """Return all constraints g at the samples of a motion, and the derivative of the last one.
 
@@ -211,8 +224,9 @@ def constraints_of(
         problem: the arm and its limits.
         motion: (3, N, n) q, qd and qdd.
         extra_slack: distance to keep in addition to the required one [m].
+        obstacle_step: of how many samples one is looked at for distances.
     """
-    at = OBSTACLE_POINTS
+    at = slice(None, None, obstacle_step)
     slack, slack_gradient = problem.obstacles.slack(motion[0, at])
     # What is not looked at is far from its limit.
     missing = np.full(motion.shape[1], -1.0)
@@ -269,7 +283,10 @@ def penalised_objective(
     multipliers = candidate.multipliers
     motion = design.motion(x)
     value, gradients = design.criterion.with_gradient(motion[:, INFORMATION_POINTS])
-    constraints, by_position = constraints_of(design.problem, motion, BETWEEN_POINTS)
+    step = candidate.obstacle_step
+    constraints, by_position = constraints_of(
+        design.problem, motion, step * BETWEEN_POINTS, step
+    )
     active = np.maximum(0.0, multipliers + constraints)
     penalty = 0.5 * np.sum(active**2 - multipliers**2)
     # Gradients (3, N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
@@ -317,7 +334,13 @@ def improve(
     )
     x = unit * found.x.reshape(shape)
     _, _, multipliers = penalised_objective(design, candidate, x)
-    return _update_feasible(design, replace(candidate, x=x, multipliers=multipliers))
+    improved = _update_feasible(
+        design, replace(candidate, x=x, multipliers=multipliers)
+    )
+    if improved.lead >= LEAST_LEAD:
+        # It may come too near between the points that were looked at.
+        improved = replace(improved, obstacle_step=1)
+    return improved
 
 
 def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
@@ -413,13 +436,16 @@ def design_excitation(
     try:
         for number, start in enumerate(candidates):
             candidates[number] = improve(design, start, partial(tick, 1.0))
+        rounds_without_gain = 0
         for number in range(1, effort.rounds):
             previous = min(candidates, key=attrgetter("feasible_score"))
             best = improve(design, previous, partial(tick, 0.5 ** (number - 1)))
             candidates = [best]
-            gain = previous.feasible_score - best.feasible_score
-            lead = best.feasible_score - best.score
-            if gain < LEAST_GAIN and lead < LEAST_LEAD:
+            if previous.feasible_score - best.feasible_score >= LEAST_GAIN:
+                rounds_without_gain = 0
+                continue
+            rounds_without_gain += 1
+            if best.lead < LEAST_LEAD or rounds_without_gain == PATIENCE:
                 break
     except (KeyboardInterrupt, TimeoutError):
         progress.note(

@@ -121,6 +121,26 @@ def test_gradient_equals_differences(seed):
     assert value == pytest.approx(exact, rel=1e-4, abs=1e-4 * (1.0 + np.abs(exact)))
 
 
+def test_all_points_are_looked_at_where_a_motion_breaks_limits():
+    """It may break them between every second one, where nothing would ever pull it away."""
+    design = make_design(small_arms.THREE)
+    candidate = search.first_candidate(design, random_x(design, 0, 0.01))
+    assert candidate.obstacle_step == search.OBSTACLE_STEP > 1
+    improved = search.improve(design, candidate, tick=lambda: None)
+    assert improved.lead >= search.LEAST_LEAD
+    assert improved.obstacle_step == 1
+
+
+def test_distances_between_the_points_that_are_looked_at_count_as_far():
+    problem = make_problem(TUBES_AND_POST)
+    motion = default_rng(0).normal(size=(3, 6, problem.n_joints))
+    every, _ = constraints_of(problem, motion)
+    second, slope_by_q = constraints_of(problem, motion, obstacle_step=2)
+    np.testing.assert_array_equal(second[::2], every[::2])
+    np.testing.assert_array_equal(second[1::2, :-1], every[1::2, :-1])
+    assert np.all(second[1::2, -1] == -1.0) and not np.any(slope_by_q[1::2])
+
+
 STRONG_MOTORS = small_arms.DRY_FRICTION.replace(
     "</worldbody>",
     """</worldbody><actuator>
