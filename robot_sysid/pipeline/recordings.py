@@ -33,6 +33,7 @@ from robot_sysid.records import (
     RobotModel,
     join_recordings,
 )
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Detail, Progress, Remark
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results import verdicts
@@ -194,6 +195,10 @@ def identify_payload(
     question = Question(config.estimation, loaded=True, drifts=drifts)
     progress.stage(Detail("Estimating arm, friction and payload together..."))
     judged = judge(robot, logs, question, progress, is_loaded.tolist(), order.tolist())
+    if options.known_mass is not None:
+        # What a known mass is weighed for is no reason to refuse the weighing.
+        doubts = (f for f in judged.findings if f.about is not FaultName.TORQUE_SCALE)
+        judged = replace(judged, findings=tuple(doubts))
     weighed, of_logs = usable_fit(judged, config.log.accept, progress)
     notes = [*of_logs]
     if not drifts:
