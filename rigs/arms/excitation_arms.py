@@ -47,9 +47,11 @@ def robot(xml):
     return small_arms.robot_of(xml)
 
 
-def options(time_budget=None, **changes):
+def options(kind="optimal", time_budget=None, **changes):
     """Options of a search that takes a fraction of a second; ``changes`` are of its effort."""
-    return ExcitationOptions(time_budget=time_budget, effort=replace(SMALL, **changes))
+    return ExcitationOptions(
+        kind=kind, time_budget=time_budget, effort=replace(SMALL, **changes)
+    )
 
 
 @cache
