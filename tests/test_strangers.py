@@ -188,7 +188,7 @@ def models():
         "same name": 2 * f'<body name="a{references}"/>',
         "odd number": f'<body pos="{references} 0 0"/>',
         "odd element": f'<body name="a"><geom type="a{references}"/></body>',
-        "nan": '<body pos="nan 0 0"><joint/><geom size=".1"/></body>',
+        "nan": '<body><joint/><geom size="nan"/></body>',
         "1e300": '<body><joint/><inertial pos="0 0 0" mass="1e300" diaginertia="1 1 1"/></body>',
         "deep": "<body>" * 300 + "</body>" * 300,
         "include that is missing": f'<include file="{references}"/>',

@@ -140,11 +140,35 @@ def make_models(folder: Path) -> None:
     texts = {"truth.xml": truth, "loaded.xml": loaded, "arm_with_tool.xml": tool}
     names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml")
     texts.update(dict.fromkeys(names, model))
+    texts["humanoid.xml"] = humanoid()
+    texts["no_masses.urdf"] = no_masses()
     five = "[0.1, 0.1, 0.1, 0.1, 0.2]"
     texts["yam.yml"] = f"gravity_comp_factor: {five}\ncoulomb_friction: {five}\n"
     texts["follower.yaml"] = f"FollowerArmParam:\n  Fc: {five}\n  Fv: {five}\n"
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def humanoid() -> str:
+    """Return the model of an arm on a torso that turns, on a base that flies."""
+    arm = small_arms.serial_bodies(AXES, **MODEL)
+    torso = small_arms.link(small_arms.hinge("waist", small_arms.Z), arm, "torso")
+    return small_arms.world(small_arms.link("<freejoint/>", torso, "pelvis"))
+
+
+def no_masses() -> str:
+    """Return the URDF of the arm that states no masses."""
+    text = '<link name="base"/>'
+    parent = "base"
+    for number, axis in enumerate(AXES):
+        name = f"link{number}"
+        text += (
+            f'<link name="{name}"/><joint name="joint{number}" type="revolute"><parent '
+            f'link="{parent}"/><child link="{name}"/><origin xyz="0 .02 .25"/><axis xyz="{axis}"/>'
+            '<limit lower="-2.5" upper="2.5" effort="100" velocity="2"/></joint>'
+        )
+        parent = name
+    return f'<robot name="arm">{text}</robot>'
 
 
 def record(

@@ -383,6 +383,9 @@ def refuse_overwriting(
 def _real_path(path: Path) -> str:
     """Return the path of a file, links followed; InputError for a text that is no path."""
     try:
+        # Not every Python's realpath looks for a character zero.
+        if "\0" in str(path):
+            raise ValueError("embedded null character")
         return os.path.realpath(path)
     except ValueError as error:
         raise InputError(
