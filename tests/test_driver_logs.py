@@ -52,7 +52,7 @@ def parameters_of(logs):
     return parameters
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("log", parameters_of(DRIVER_LOGS))
 def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log):
     """Whatever the driver's order, names, units, turns and further topics are."""

@@ -276,7 +276,7 @@ def with_links(folder, links, mass=1.0, centre=1.0):
     return path
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("links", "factors"),
     [

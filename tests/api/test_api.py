@@ -204,6 +204,7 @@ def test_a_recording_does_not_count_twice(workshop, tmp_path, model):
             call()
 
 
+@pytest.mark.slow
 def test_named_values_fit_together(result):
     written = result.to_dict()
     rows = params.rows(written)

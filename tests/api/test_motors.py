@@ -28,6 +28,7 @@ def trajectory(tmp_path):
     return trajectory_file(tmp_path, swing(2, duration=0.5, amplitude=0.05)).path
 
 
+@pytest.mark.slow
 def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
     sentences = []
     record = tmp_path / "measured.csv"

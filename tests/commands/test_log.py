@@ -124,6 +124,7 @@ def test_degrees_end_with_the_command_that_declares_the_unit(command):
     assert "nothing that stops an identification was found" in right.out
 
 
+@pytest.mark.slow
 def test_a_turned_sign_is_put_right_with_the_command_that_is_named(folder, command):
     refused = command.run("log turned.csv arm.xml", code=2).err
     message, line = refused.splitlines()

@@ -204,6 +204,7 @@ def test_joints_of_which_nobody_knows_how_they_turn_are_not_moved(
     assert only_asks(bus.wire.sent)
 
 
+@pytest.mark.slow
 def test_a_simulated_arm_is_moved_and_the_printed_command_moves_the_real_one(
     motors, bus, arm_file, monkeypatch, tmp_path
 ):

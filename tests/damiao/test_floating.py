@@ -201,6 +201,7 @@ def test_a_torque_is_said_only_of_a_joint_that_moves_against_known_friction(
     assert ("stands" in text) == (speed == 0.0)
 
 
+@pytest.mark.slow
 def test_options_do_not_let_an_arm_fall(float_test):
     wide = ("--float", "--max-tracking-error", 100)
     test = float_test(arm(0.92), arm(), options=wide)

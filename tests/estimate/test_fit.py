@@ -94,6 +94,7 @@ def test_a_payload_is_recovered_whatever_the_model_has_wrong(seed):
     assert np.mean(values_of(fitted, "scale")) == pytest.approx(0.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_known_mass_identifies_torque_scales_beside_a_drift_of_friction():
     scales = np.array([1.03, 0.96, 1.02, 0.98])
     recordings = TrueArm(ROBOT, 4, scales=scales).abba(4, drift=0.15)

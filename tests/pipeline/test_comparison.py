@@ -97,7 +97,7 @@ def test_a_body_that_came_on_is_found_and_the_order_changes_its_sign():
     assert sentences(back)[0].endswith("came off at link3")
 
 
-@pytest.mark.fast_cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "joint", "value", "after", "words"),
     [

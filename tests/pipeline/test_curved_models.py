@@ -140,6 +140,7 @@ def test_printed_friction_is_that_of_the_file_with_the_error_of_the_trade(estima
         assert abs(row.value - DRY) < 2.0 * row.error
 
 
+@pytest.mark.slow
 def test_params_have_each_number_once_and_that_of_the_file(folder):
     content = schemas.check(folder / "params.json")
     printed, written = {}, {}

@@ -73,12 +73,14 @@ def test_the_delay_is_that_of_the_commands_alone(delay):
     assert fit.delay_error < 1e-3
 
 
+@pytest.mark.slow
 def test_a_model_without_servos_leads_to_the_same_numbers():
     xml = ARM.format(mass=0.3, kp=9.0, limit="")
     bare = fit_to(robot_of(xml[: xml.index("<actuator>")] + "</mujoco>"))
     assert bare.numbers == pytest.approx(fit_to(arm()).numbers, rel=0.05)
 
 
+@pytest.mark.slow
 def test_errors_of_links_cover_numbers_that_wrong_links_change():
     fit = fit_to(arm())
     errors = fit.errors[:, 0]

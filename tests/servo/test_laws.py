@@ -71,6 +71,7 @@ def test_the_equations_hold_of_true_numbers_alone():
         assert misfit(wrong, servos.delay) > 1.2 * right
 
 
+@pytest.mark.slow
 def test_a_log_shows_no_unit_of_torque():
     """Of links with twice the mass all numbers are twice as large, and the delay is the same."""
     heavy = robot_of(
@@ -87,6 +88,7 @@ def test_a_log_shows_no_unit_of_torque():
     assert twice.delay == pytest.approx(light.delay, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_pieces_of_a_log_are_one_log():
     """But for the samples at their ends, which the low-pass repeats."""
     piece = log_of(arm(), random_servos(3))
