@@ -180,7 +180,9 @@ def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column
     assert_refused(r"train/q\[\*\] .*test/q\[\*\] ", path)
 
 
-@pytest.mark.parametrize("start", [np.datetime64("2024-05-01", "ns"), 0])
+@pytest.mark.parametrize(
+    "start", [np.datetime64("2024-05-01", "ns"), np.timedelta64(0, "ns")]
+)
 def test_dates_in_arrays_are_seconds_from_the_first(start):
     dates = start + (DATA.time * 1e9).round().astype("m8[ns]")
     note = np.array(["x"] * len(DATA), object)
