@@ -7,7 +7,6 @@ the whole command does.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import signal
@@ -15,7 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
-from rigs.files.command_line import files_in
+from rigs.files.command_line import ending_within, files_in
 from rigs.files.reports import arm_text, link_result, saved
 from rigs.logs.measured_logs import XML, log_of, true_arm
 from robot_sysid.cli import main
@@ -318,22 +317,6 @@ def changed_result(folder):
     key, value = json.loads((folder / "change.json").read_text())
     text = json.dumps({**json.loads(params.read_text()), key: value})
     params.write_text((folder / "change.txt").read_text() or text)
-
-
-@contextlib.contextmanager
-def ending_within(seconds):
-    """Raise TimeoutError in a block that hangs."""
-
-    def end(*_):
-        raise TimeoutError(f"not done after {seconds} s")
-
-    old_handler = signal.signal(signal.SIGALRM, end)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, old_handler)
 
 
 def check(case, folder, capsys):

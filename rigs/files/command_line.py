@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 from robot_sysid.cli import main
@@ -24,6 +27,22 @@ _KEYS = {
 _FIELD = re.compile(rf"\{{({'|'.join(sorted(_KEYS))})( [A-Z.]+|=[^{{}}]*)?\}}")
 OUT = Path("sysid_output")
 """Where results are written in the working folder unless another folder is named."""
+
+
+@contextlib.contextmanager
+def ending_within(seconds: int) -> Iterator[None]:
+    """Raise TimeoutError in a block that hangs."""
+
+    def end(*_: object) -> None:
+        raise TimeoutError(f"not done after {seconds} s")
+
+    old_handler = signal.signal(signal.SIGALRM, end)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, old_handler)
 
 
 def require_names(text: str) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import signal
 import sys
 
 import pytest
 
 from rigs.arms import small_arms
-from rigs.files.command_line import COMMANDS
+from rigs.files.command_line import COMMANDS, ending_within
 from rigs.logs.measured_logs import XML, log_of, true_arm
 from rigs.motors.damiao_rig import map_line, swing, trajectory_file
 from robot_sysid.cli import main
@@ -79,21 +78,14 @@ CASES = [
 @contextlib.contextmanager
 def bounds(seconds, memory):
     """End what waits or reads without end, instead of the whole test run."""
-
-    def end(*_):
-        raise TimeoutError(f"not done after {seconds} s")
-
-    old_handler = signal.signal(signal.SIGALRM, end)
     with open("/proc/self/statm") as file:
         used_memory = int(file.read().split()[0]) * resource.getpagesize()
     _, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (used_memory + memory, hard_limit))
-    signal.alarm(seconds)
     try:
-        yield
+        with ending_within(seconds):
+            yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, old_handler)
         resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
 
 
