@@ -482,18 +482,6 @@ class LinkDynamics:
         return LinksMotion(velocity, acceleration, steps, screws, brackets)
 
 
-def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
-    """Yield arrays of a motion in chunks of samples, one tuple of arrays (m, ...) per chunk.
-
-    Args:
-        width: numbers per sample in the largest array that the caller computes of a chunk; chunks
-            are so short that it has at most about a million numbers.
-        arrays: (N, ...) each.
-    """
-    count = 1 + len(arrays[0]) * width // ARRAY_SIZE
-    yield from zip(*(np.array_split(array, count) for array in arrays))
-
-
 def wrench_of(thetas: Array, velocity: Array, acceleration: Array) -> Array:
     """Return the wrench G A - ad(V)^T G V (..., 6, N) that moves a link with twists (..., 6, N).
 

@@ -24,11 +24,15 @@ from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
 
 LEAST_RATE_HZ = 1000.0
 """Lowest rate at which a motion is checked [Hz]."""
+FIRST_RATE_HZ = 100.0
+"""Rate of the first look at a motion of which only whether it keeps its limits is asked [Hz]."""
 TOUCH = 1e-6
 """By how much a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. The
 approach is a sum with rounding errors, so a motion that just keeps a clearance may miss it by
 1e-9 m."""
 
+PRECISION = 1e-3
+"""How exactly the least slack of a motion is told [m]."""
 CONTACT_RATE_HZ = 4000.0
 """Highest rate of tests of clearance, where bodies are near each other [Hz]: at 2 m/s a body moves
 0.5 mm between two of them."""
@@ -63,7 +67,7 @@ def check_limits(
     """
     uses = _uses(problem, plan, max(LEAST_RATE_HZ, sample_rate))
     excesses = [use for use in uses if not use.is_kept]
-    closest = _tightest(problem.obstacles, plan)
+    closest = _tightest(problem.obstacles, plan, PRECISION)
     if closest.slack < -TOUCH:
         missing = OBSTACLE_LENGTH - closest.slack
         numbers = missing, OBSTACLE_LENGTH, closest.time, False
@@ -99,8 +103,8 @@ def keeps_limits(
     """Return whether a motion keeps every limit, sampled at ``sample_rate`` [Hz]; clearances are
     checked between the samples too.
     """
-    # Most motions that break a limit break it at the samples of the lower rate too.
-    for rate in (100.0, sample_rate):
+    # Most motions that break a limit break it at the samples of a lower rate too.
+    for rate in sorted({min(FIRST_RATE_HZ, sample_rate), sample_rate}):
         if not all(use.is_kept for use in _uses(problem, plan, rate)):
             return False
     return first_contact(problem, plan) is None
@@ -110,7 +114,8 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | Non
     """Return the bodies between which a clearance is first not kept along a motion, and when; None
     where all are kept.
     """
-    closest = _tightest(problem.obstacles, plan)
+    # How much room there is where all clearances are kept is not asked.
+    closest = _tightest(problem.obstacles, plan, np.inf)
     return closest if closest.slack < 0.0 else None
 
 
@@ -121,11 +126,17 @@ def _uses(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> list[Lim
     return problem.limits.uses(samples, problem.owners)
 
 
-def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
+def _tightest(obstacles: Clearance, plan: MotionPlan, precision: float) -> Closest:
     """Return the pair with the least slack along a motion, and the time of that configuration.
 
     A slack below -TOUCH anywhere along the motion is found, and the search ends after the stretch
-    of the motion with it. Up to there no slack is smaller than the one returned by more than 1 mm.
+    of the motion with it.
+
+    Args:
+        obstacles: distances of the arm.
+        plan: the motion.
+        precision: by how much the least slack of a motion without contact may be smaller than the
+            one returned [m].
     """
     least = np.inf
     rate = CONTACT_RATE_HZ
@@ -147,9 +158,9 @@ def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
                 tightest = motion.q[tested[best]], motion.time[tested[best]]
             # Slack above the floor may be used up untested: no contact and no lower minimum is
             # missed by it.
-            floor = least - 1e-3
+            floor = least - PRECISION
             if least >= -TOUCH:
-                floor = max(-TOUCH, floor)
+                floor = max(-TOUCH, least - precision)
             approach = np.diff(path[tested], axis=0)
             room = 0.5 * np.min(slacks[:-1] + slacks[1:] - approach, axis=1)
             is_open = (room < floor) & (np.diff(tested) > 1)

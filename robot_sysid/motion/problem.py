@@ -12,8 +12,8 @@ from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     LinkDynamics,
+    LinksMotion,
     other_links,
-    split_motion,
     subtree,
 )
 from robot_sysid.estimate.links import link_factor
@@ -69,8 +69,8 @@ class ExcitationProblem:
             corner.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
-        link_errors: (10 L, 10 L) factor of the prior covariance of all links' parameters; zero
-            where the links are taken as they are.
+        link_errors: (10 L, 10 L) lower triangular factor of the prior covariance of all links'
+            parameters, from the terminal link inwards; zero where the links are taken as they are.
         rows: indices of the chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of the noise of these torques [N m].
         obstacles: distances between bodies that have to be kept.
@@ -110,28 +110,39 @@ class ExcitationProblem:
         Each is the larger one of the torques without and with the reserved load, increased by the
         reserve for the links' errors.
         """
+        return self._torque(motion, self.links_motion(motion))
+
+    def links_motion(self, motion: Motion) -> LinksMotion:
+        """Return the motion of all links in a motion of the joints."""
+        return self.dynamics.motion(motion.q, motion.qd, motion.qdd)
+
+    def _torque(self, motion: Motion, links: LinksMotion) -> Array:
+        """Return ``torque`` where the motion of the links is known already."""
         torque = self.arm_torque(motion)
         if self.reserve > 0.0:
-            loaded = torque + self.reserve * self.torque_per_kilogram(motion)
+            loaded = torque + self.reserve * self.torque_per_kilogram(links)
             torque = np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
-        return torque + np.copysign(self.torque_reserve(motion), torque)
+        return torque + np.copysign(self.torque_reserve(links), torque)
 
-    def torque_reserve(self, motion: Motion) -> Array:
+    def torque_reserve(self, links: LinksMotion) -> Array:
         """Return the torques (N, n) reserved for errors of the links [N m]: two standard deviations
         of each torque; zero at joints without a torque limit.
-        """
-        is_limited = np.isfinite(self.limits.torque)
-        if not (np.any(self.link_errors) and np.any(is_limited)):
-            return np.zeros_like(motion.q)
-        deviations = []
-        rates = motion.q, motion.qd, motion.qdd
-        # The regressor and its product with the errors are in memory at a time.
-        for chunk in split_motion(2 * self.n_joints * len(self.link_errors), *rates):
-            regressor = self.dynamics.motion(*chunk).columns(self.links)
-            deviations.append(np.linalg.norm(regressor @ self.link_errors, axis=2))
-        return INTERVAL * is_limited * np.concatenate(deviations)
 
-    def torque_per_kilogram(self, motion: Motion) -> Array:
+        A joint moves the links from the last one to its own. From the terminal link inwards they
+        are the first ones, whose errors the first columns of the triangular factor hold alone.
+        """
+        inwards = sorted(self.links, reverse=True)
+        deviations = np.zeros((self.n_joints, links.velocity.shape[2]))
+        if not np.any(self.link_errors):
+            return deviations.T
+        columns = links.columns(inwards).transpose(1, 2, 0)
+        for joint in np.flatnonzero(np.isfinite(self.limits.torque)).tolist():
+            size = N_INERTIAL * sum(link >= joint for link in inwards)
+            errors = self.link_errors[:size, :size].T @ columns[joint, :size]
+            deviations[joint] = np.sqrt(np.sum(errors**2, axis=0))
+        return INTERVAL * deviations.T
+
+    def torque_per_kilogram(self, links: LinksMotion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg].
 
         The tip is the corner of the tool's box that is farthest from the terminal body's origin.
@@ -140,7 +151,7 @@ class ExcitationProblem:
         thetas = np.zeros((self.n_joints, N_INERTIAL))
         # A point mass of 1 kg.
         thetas[-1] = spatial.theta_from_com(1.0, tip, np.zeros((3, 3)))
-        return self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+        return links.torque(thetas)
 
     def torque_at(self, q: Array, qd: float = 0.0) -> Array:
         """Return ``torque`` (N, n) at positions q (N, n) [N m], where all joints move at one
@@ -171,11 +182,11 @@ class ExcitationProblem:
 
     def signals(self, motion: Motion) -> Array:
         """Return the quantities that have limits (N, m), see ``Limits.signals``."""
-        links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
+        links = self.links_motion(motion)
         spin, velocity = np.split(links.velocity[-1][:, None], 2)
         corners = velocity + spatial.cross(spin, self.tool.T[:, :, None])
         fastest = np.max(np.linalg.norm(corners, axis=0), axis=0)
-        torque = self.torque(motion)
+        torque = self._torque(motion, links)
         return self.limits.signals(motion.q, motion.qd, motion.qdd, torque, fastest)
 
 
@@ -240,7 +251,9 @@ def build_problem(
         tool=tool_corners(robot),
         arm_torque=ArmDynamics(robot),
         reserve=options.payload_reserve,
-        link_errors=link_factor(robot, links, 0.01 * link_uncertainty),
+        link_errors=link_factor(
+            robot, sorted(links, reverse=True), 0.01 * link_uncertainty
+        ),
         obstacles=Clearance(robot, start_pose, limits),
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "the prior noise")[list(rows)],

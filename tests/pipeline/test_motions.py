@@ -87,8 +87,9 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
     assert checked.failure is None
     problem = checked.problem
     motion = checked.plan.evaluate(np.linspace(0.0, checked.plan.duration, 100))
-    reserve = problem.torque_reserve(motion)
-    loaded = problem.arm_torque(motion) + load * problem.torque_per_kilogram(motion)
+    links = problem.links_motion(motion)
+    reserve = problem.torque_reserve(links)
+    loaded = problem.arm_torque(motion) + load * problem.torque_per_kilogram(links)
     needed = np.maximum(np.abs(problem.arm_torque(motion)), np.abs(loaded))
     assert np.all(np.max(reserve, axis=0) > 0.0)
     assert np.all(needed + reserve <= 0.96 * limit)
