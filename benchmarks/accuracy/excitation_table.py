@@ -61,6 +61,9 @@ ARMS = [
     ("so101/so101_new_calib.xml", "wrist_roll"),
     ("so101/so101_new_calib.urdf", "gripper"),
 ]
+NOISELESS = 1e8
+"""Samples of a recording that leaves what any motion leaves: with 1e7 as many errors of mass and
+centre are the same within 0.2 %, and with 1e12 the equations are singular in floating point."""
 NAMES = ("mass", "centre", "Izz", "ten", "mean")
 
 
@@ -134,7 +137,7 @@ def line(path, joint, seeds):
         plan = generate_excitation_trajectory(robot, rng, 15.0)
         rows.append(left_by(design, plan))
     sines = np.median(rows, axis=0)
-    exact = Criterion(problem, prior, 1e12)
+    exact = Criterion(problem, prior, NOISELESS)
     least = figures(design, exact, random_motion(problem))
     began = time.process_time()
     ratios = []

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import math
 import os
 import platform
-import re
 import subprocess
 import sys
 import tempfile
@@ -51,6 +51,19 @@ RATE = 1000.0
 """Samples per second of logs [Hz]."""
 LIMIT = 540.0
 """Time after which a process is ended [s]."""
+PLANNED = {
+    "UR5e": ("universal_robots_ur5e/ur5e.xml", "wrist_3"),
+    "OpenArm": ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
+    "Kinova Gen3": ("kinova_gen3/gen3.xml", "joint_7"),
+    "Panda": ("franka_panda/panda.xml", "joint7"),
+    "FR3": ("franka_fr3/FrankaFR3_7DoF.urdf", "fr3_joint7"),
+    "iiwa 14": ("kuka_iiwa_14/iiwa14.xml", "joint7"),
+    "xArm7": ("ufactory_xarm7/xarm7.xml", "joint7"),
+    "WXAI": ("trossen/wxai/wxai_follower.xml", "joint_5"),
+    "ALOHA": ("aloha/aloha.xml", "left/wrist_rotate"),
+    "SO-101": ("so101/so101_new_calib.xml", "wrist_roll"),
+}
+"""Public arms that motions are planned for: model and terminal joint of each."""
 # Waits for one child, so that its peak memory and its time are those of all children.
 WATCHER = f"""
 import resource, subprocess, sys
@@ -184,16 +197,18 @@ def servo_rows() -> Iterator[str]:
 
 
 def plan_rows() -> Iterator[str]:
-    """Yield the cost of ``plan``, and its improvement over the best random motion."""
-    with tempfile.TemporaryDirectory() as name:
-        options = ("--seed", "0", "--verbose", "--output-dir", name)
-        seconds, memory, text = watch_process(
-            sys.executable, "-m", "robot_sysid", "plan", str(GUESS), *options
-        )
-    gain = re.search(r"([\d.]+) times better", text)
-    ratio = gain[1] if gain else "?"
-    cells = (f"{memory:.0f} MB", f"{ratio} times the best random one")
-    yield format_row("`plan`, 7 joints, 15 s", "robot-sysid", seconds, seconds, *cells)
+    """Yield the cost of ``plan`` for public arms, and the error to expect of the file."""
+    for arm, (model, joint) in PLANNED.items():
+        if not (MODELS / model).exists():
+            continue
+        with tempfile.TemporaryDirectory() as name:
+            options = ("--joint", joint, "--seed", "1", "--json", "--output-dir", name)
+            command = ("-m", "robot_sysid", "plan", str(MODELS / model), *options)
+            seconds, memory, text = watch_process(sys.executable, *command)
+        result = json.loads(text[text.index("{") :])
+        error = f"{100.0 * result['elsewhere']['after']:.2f} % expected elsewhere"
+        cells = (f"{memory:.0f} MB", error)
+        yield format_row(f"`plan`, {arm}", "robot-sysid", seconds, seconds, *cells)
 
 
 def sysid_rows() -> Iterator[str]:

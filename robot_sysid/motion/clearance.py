@@ -74,6 +74,22 @@ class Closest:
     time: float = 0.0
 
 
+class TightPairs(NamedTuple):
+    """C pairs of links, or of a half-space and a link, with little slack in N postures.
+
+    Attributes:
+        posture: (C,) index of the posture.
+        number: (C,) of the pair, below ``Clearance.n_pairs``.
+        slack: (C,) distance minus required distance [m]; negative where it is not kept.
+        slope: (C, n) its derivative by the joint positions [m/rad, or 1 for slides].
+    """
+
+    posture: Any
+    number: Any
+    slack: Array
+    slope: Array
+
+
 class _Near(NamedTuple):
     """C pairs of bodies, or of a half-space and a body, that are near each other.
 
@@ -95,10 +111,10 @@ class _Near(NamedTuple):
     point: Array
     wall: Any
 
-    def tightest_pair(self, horizon: float = HORIZON) -> _Near:
-        """Return the pair with the least slack of each configuration, if below a horizon [m]."""
-        order = np.lexsort((self.slack, self.posture))
-        _, first = np.unique(self.posture[order], return_index=True)
+    def tightest(self, group: Any, horizon: float = HORIZON) -> _Near:
+        """Return the pair with the least slack of each group (C,), if below a horizon [m]."""
+        order = np.lexsort((self.slack, group))
+        _, first = np.unique(group[order], return_index=True)
         tightest = order[first]
         tightest = tightest[self.slack[tightest] < horizon]
         return _Near(*(values[tightest] for values in self))
@@ -228,17 +244,21 @@ class Clearance:
         """Return the constructor's arguments: a pickle of MuJoCo's data ends the process in 3.0."""
         return type(self), self._arguments
 
-    def slack(self, q: Array) -> tuple[Array, Array]:
-        """Return the slack of the tightest pair and its gradient at joint positions q (N, n).
-
-        The slack (N,) is distance minus required distance [m], at most ``SEARCH_HORIZON``, and
-        negative where a distance is not kept. The gradient (N, n) is its derivative by the joint
-        positions [m/rad, or 1 for slides].
+    def slack(self, q: Array) -> Array:
+        """Return the slack (N,) of the tightest pair at joint positions q (N, n), at most
+        ``SEARCH_HORIZON`` [m]; it is distance minus required distance.
         """
+        near = self._near(q, SEARCH_HORIZON)
+        slack = np.full(len(q), SEARCH_HORIZON)
+        np.minimum.at(slack, near.posture, near.slack)
+        return slack
+
+    def tight_pairs(self, q: Array) -> TightPairs:
+        """Return the pairs with a slack below ``SEARCH_HORIZON`` at joint positions q (N, n)."""
         frames = np.empty((2, len(q), self._model.njnt, 3))
-        near = self._near(q, SEARCH_HORIZON, frames).tightest_pair(SEARCH_HORIZON)
-        value = np.full(len(q), SEARCH_HORIZON)
-        value[near.posture] = near.slack
+        near = self._near(q, SEARCH_HORIZON, frames)
+        group = near.posture * self.n_pairs + self._number(near)
+        near = near.tightest(group, SEARCH_HORIZON)
         # Component first, (3, C, n): a cross product by hand costs a tenth of numpy's.
         axes, anchors = frames[:, near.posture][:, :, self._joints].transpose(
             0, 3, 1, 2
@@ -251,9 +271,18 @@ class Clearance:
         links = self._link_of_body[near.bodies]
         joint = np.arange(q.shape[1])
         side = (joint < links[:, 1:]).astype(float) - (joint < links[:, :1])
-        gradient = np.zeros(q.shape)
-        gradient[near.posture] = side * rates
-        return value, gradient
+        return TightPairs(near.posture, self._number(near), near.slack, side * rates)
+
+    @property
+    def n_pairs(self) -> int:
+        """How many numbers ``TightPairs.number`` may be."""
+        n_walls = 0 if self._walls is None else len(self._walls.spaces)
+        return len(self.rates) * (1 + n_walls)
+
+    def _number(self, near: _Near) -> Any:
+        """Return the number (C,) of each pair of links, or of a half-space and a link."""
+        row = self._rows[near.bodies[:, 0], near.bodies[:, 1]]
+        return row + len(self.rates) * (1 + near.wall)
 
     def slacks(self, q: Array) -> Array:
         """Return the slack (N, P) of each row of ``rates``, at most ``HORIZON``, at joint positions
@@ -269,7 +298,8 @@ class Clearance:
         """Return the pair of bodies, or body and half-space, with the least slack at one
         configuration q (n,) [rad or m].
         """
-        near = self._near(q[None]).tightest_pair()
+        near = self._near(q[None])
+        near = near.tightest(near.posture)
         if not len(near.slack):
             return Closest(HORIZON)
         first, second = near.bodies[0].tolist()

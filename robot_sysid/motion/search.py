@@ -34,6 +34,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion import ExcitationOptions
+from robot_sysid.motion.clearance import SEARCH_HORIZON, TightPairs
 from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import (
@@ -79,7 +80,7 @@ SINGULAR = 1e6
 LEAST_GAIN = 0.01
 """Gain of a round in the mean standard deviation, relative, below which a search ends: what follows
 gains less per evaluation, as a rule half of it per round."""
-LEAST_LEAD = 0.05
+LEAST_LEAD = 0.02
 """How much better the motion that breaks limits is than the best that keeps them, relative, for a
 search to go on without a gain: a round may only adapt the multipliers, and the next one turns that
 lead into a gain."""
@@ -188,7 +189,7 @@ class Candidate:
     Attributes:
         x: (n, M) free coefficients of each joint [rad or m]; the motion may break a limit.
         feasible_x: (n, M) the best coefficients so far that keep all limits.
-        multipliers: (N, m + 1) Lagrange multipliers of the constraints at the N grid points; zero
+        multipliers: (N, m + p) Lagrange multipliers of the constraints at the N grid points; zero
             at first.
         score: the criterion at ``x``, smaller is better; infinite if singular.
         feasible_score: the criterion at ``feasible_x``; infinite where none are known.
@@ -213,12 +214,13 @@ def constraints_of(
     motion: Array,
     extra_slack: float = 0.0,
     obstacle_step: int = 1,
-) -> tuple[Array, Array]:
-    """Return all constraints g at the samples of a motion, and the derivative of the last one.
+) -> tuple[Array, TightPairs]:
+    """Return all constraints g at the samples of a motion, and the pairs that are near each other.
 
-    The columns of g (N, m + 1), which are fulfilled where <= 0, are ``problem.signals``: absolute
-    values over ``LIMIT_SHARE`` of their limits, minus one; the last column is the missing distance
-    from obstacles over ``OBSTACLE_LENGTH``, the derivative (N, n) of which is by q.
+    The columns of g (N, m + p), which are fulfilled where <= 0, are ``problem.signals``: absolute
+    values over ``LIMIT_SHARE`` of their limits, minus one; then the missing distance of each pair
+    of links over ``OBSTACLE_LENGTH``. One column for the tightest pair alone would have a kink
+    wherever another pair becomes the tightest one, and no step of the optimiser leads on there.
 
     Args:
         problem: the arm and its limits.
@@ -226,37 +228,38 @@ def constraints_of(
         extra_slack: distance to keep in addition to the required one [m].
         obstacle_step: of how many samples one is looked at for distances.
     """
-    at = slice(None, None, obstacle_step)
-    slack, slack_gradient = problem.obstacles.slack(motion[0, at])
+    pairs = problem.obstacles.tight_pairs(motion[0, ::obstacle_step])
+    pairs = pairs._replace(posture=obstacle_step * pairs.posture)
     # What is not looked at is far from its limit.
-    missing = np.full(motion.shape[1], -1.0)
-    missing[at] = (extra_slack - slack) / OBSTACLE_LENGTH
+    missing = np.full((motion.shape[1], problem.obstacles.n_pairs), -1.0)
+    missing[::obstacle_step] = (extra_slack - SEARCH_HORIZON) / OBSTACLE_LENGTH
+    at = pairs.posture, pairs.number
+    missing[at] = (extra_slack - pairs.slack) / OBSTACLE_LENGTH
     signals = np.abs(problem.signals(motion_of_samples(*motion)))
     limits = LIMIT_SHARE * problem.limits.columns
-    value = np.column_stack((signals / limits - 1.0, missing))
-    by_position = np.zeros_like(motion[0])
-    by_position[at] = -slack_gradient / OBSTACLE_LENGTH
-    return value, by_position
+    return np.column_stack((signals / limits - 1.0, missing)), pairs
 
 
 def constraint_gradient(
-    problem: ExcitationProblem, motion: Array, by_position: Array, weight: Array
+    problem: ExcitationProblem, motion: Array, pairs: TightPairs, weight: Array
 ) -> Array:
     """Return the gradient (3, N, n) of sum(weight * g) by q, qd and qdd.
 
     Args:
         problem: the arm and its limits.
         motion: (3, N, n) q, qd and qdd.
-        by_position: (N, n) derivative of the last constraint by q.
-        weight: (N, m + 1) of the constraints g.
+        pairs: that are near each other in this motion.
+        weight: (N, m + p) of the constraints g.
     """
     n_linear = 3 * problem.n_joints
-    factor = weight[:, :-1] / (LIMIT_SHARE * problem.limits.columns)
+    n_signals = len(problem.limits.columns)
+    factor = weight[:, :n_signals] / (LIMIT_SHARE * problem.limits.columns)
     linear, functions = np.split(factor, [n_linear], axis=1)
     q, qd, qdd = motion
     directions = np.sign((q - problem.limits.center, qd, qdd))
     gradients = directions * np.split(linear, 3, axis=1)
-    gradients[0] += weight[:, -1:] * by_position
+    of_pairs = weight[pairs.posture, n_signals + pairs.number] / OBSTACLE_LENGTH
+    np.subtract.at(gradients[0], pairs.posture, of_pairs[:, None] * pairs.slope)
     # Torques and the tool's speed are functions of the motion.
     active = np.flatnonzero(np.any(functions != 0.0, axis=1))
     if len(active):
@@ -274,7 +277,7 @@ def constraint_gradient(
 def penalised_objective(
     design: Design, candidate: Candidate, x: Array
 ) -> tuple[float, Array, Array]:
-    """Return (objective, gradient (n, M), new multipliers (N, m + 1)) at coefficients x (n, M).
+    """Return (objective, gradient (n, M), new multipliers (N, m + p)) at coefficients x (n, M).
 
     The objective is the criterion plus the augmented Lagrangian's penalty, with the multipliers and
     the weight of the candidate. The new multipliers max(0, l + m g) are for the next round, if the
@@ -284,13 +287,13 @@ def penalised_objective(
     motion = design.motion(x)
     value, gradients = design.criterion.with_gradient(motion[:, INFORMATION_POINTS])
     step = candidate.obstacle_step
-    constraints, by_position = constraints_of(
+    constraints, pairs = constraints_of(
         design.problem, motion, step * BETWEEN_POINTS, step
     )
     active = np.maximum(0.0, multipliers + constraints)
     penalty = 0.5 * np.sum(active**2 - multipliers**2)
     # Gradients (3, N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
-    adjoints = constraint_gradient(design.problem, motion, by_position, active)
+    adjoints = constraint_gradient(design.problem, motion, pairs, active)
     adjoints[:, INFORMATION_POINTS] += gradients
     # q, qd and qdd are linear in x, by the basis functions and their derivatives.
     gradient = np.sum([a.T @ f for a, f in zip(adjoints, design.on_grid)], axis=0)
@@ -511,7 +514,8 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
     sample, column = np.unravel_index(np.argmax(value), value.shape)
     problem = design.problem
     closest = problem.obstacles.closest_pair(motion[0][sample])
-    limits = [*limited_quantities(problem.owners), ("clearance", closest.label)]
+    of_pairs = problem.obstacles.n_pairs * [("clearance", closest.label)]
+    limits = [*limited_quantities(problem.owners), *of_pairs]
     return Draw(np.inf, np.zeros_like(full), limit_name(*limits[column]))
 
 
@@ -523,12 +527,12 @@ def _is_feasible(problem: ExcitationProblem, motion: Array, share: float = 1.0) 
     """
     least = -ROUNDING * OBSTACLE_LENGTH
     some_postures = motion[0, ::FEW_POSTURES]
-    if np.min(problem.obstacles.slack(some_postures)[0]) < least:
+    if np.min(problem.obstacles.slack(some_postures)) < least:
         return False
     signals = np.abs(problem.signals(motion_of_samples(*motion)))
     if np.max(signals / problem.limits.columns) > share * (1.0 + ROUNDING):
         return False
-    return bool(np.min(problem.obstacles.slack(motion[0])[0]) >= least)
+    return bool(np.min(problem.obstacles.slack(motion[0])) >= least)
 
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:

@@ -116,6 +116,6 @@ def _held_poses(problem: ExcitationProblem) -> Array:
     nearness = np.linspace(1.0 / count, 1.0, count)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
     is_held = np.all(_torque_share(problem, poses) < HELD_SHARE, axis=1)
-    poses = poses[is_held & (problem.obstacles.slack(poses)[0] >= 0.0)]
+    poses = poses[is_held & (problem.obstacles.slack(poses) >= 0.0)]
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
     return poses[np.argsort(distance)]

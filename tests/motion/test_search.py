@@ -110,7 +110,8 @@ def test_rounds_keep_the_best_feasible_trajectory():
 def test_gradient_equals_differences(seed):
     design = make_design(small_arms.THREE)
     rng = default_rng(seed)
-    n_constraints = len(design.problem.limits.columns) + 1
+    problem = design.problem
+    n_constraints = len(problem.limits.columns) + problem.obstacles.n_pairs
     multipliers = rng.uniform(size=(len(design.grid), n_constraints))
     x = random_x(design, seed)
     direction = random_x(design, seed + 1, 1.0)
@@ -133,12 +134,15 @@ def test_all_points_are_looked_at_where_a_motion_breaks_limits():
 
 def test_distances_between_the_points_that_are_looked_at_count_as_far():
     problem = make_problem(TUBES_AND_POST)
-    motion = default_rng(0).normal(size=(3, 6, problem.n_joints))
+    motion = default_rng(0).normal(size=(3, 60, problem.n_joints))
     every, _ = constraints_of(problem, motion)
-    second, slope_by_q = constraints_of(problem, motion, obstacle_step=2)
+    second, pairs = constraints_of(problem, motion, obstacle_step=2)
+    n_signals = len(problem.limits.columns)
     np.testing.assert_array_equal(second[::2], every[::2])
-    np.testing.assert_array_equal(second[1::2, :-1], every[1::2, :-1])
-    assert np.all(second[1::2, -1] == -1.0) and not np.any(slope_by_q[1::2])
+    np.testing.assert_array_equal(second[1::2, :n_signals], every[1::2, :n_signals])
+    assert np.all(every[1::2, n_signals:] > -1.0)
+    assert np.all(second[1::2, n_signals:] == -1.0)
+    assert len(pairs.posture) and not np.any(pairs.posture % 2)
 
 
 STRONG_MOTORS = small_arms.DRY_FRICTION.replace(
@@ -157,9 +161,9 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     problem = make_problem(STRONG_MOTORS, **limits)
     rng = default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
-    value, by_position = constraints_of(problem, motion)
+    value, pairs = constraints_of(problem, motion)
     weight = rng.uniform(size=value.shape)
-    gradient = constraint_gradient(problem, motion, by_position, weight)
+    gradient = constraint_gradient(problem, motion, pairs, weight)
     products = np.stack(gradient) * direction
     steps = 1e-6 * np.array([-1.0, 0.0, 1.0])
     moved = [constraints_of(problem, motion + s * direction)[0] for s in steps]
