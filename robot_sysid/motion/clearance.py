@@ -275,14 +275,21 @@ class Clearance:
 
     @property
     def n_pairs(self) -> int:
-        """How many numbers ``TightPairs.number`` may be."""
+        """How many pairs of links, and of half-spaces and links, there are."""
         n_walls = 0 if self._walls is None else len(self._walls.spaces)
-        return len(self.rates) * (1 + n_walls)
+        return len(self.rates) + n_walls * self._n_links
+
+    @property
+    def _n_links(self) -> int:
+        """Number of links, what does not move included."""
+        return self.rates.shape[1] + 1
 
     def _number(self, near: _Near) -> Any:
         """Return the number (C,) of each pair of links, or of a half-space and a link."""
-        row = self._rows[near.bodies[:, 0], near.bodies[:, 1]]
-        return row + len(self.rates) * (1 + near.wall)
+        of_links = self._rows[near.bodies[:, 0], near.bodies[:, 1]]
+        outer = self._link_of_body[near.bodies[:, 1]]
+        of_walls = len(self.rates) + near.wall * self._n_links + outer
+        return np.where(near.wall < 0, of_links, of_walls)
 
     def slacks(self, q: Array) -> Array:
         """Return the slack (N, P) of each row of ``rates``, at most ``HORIZON``, at joint positions
