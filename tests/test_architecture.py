@@ -68,6 +68,7 @@ LIBRARIES = {
     "can": {"damiao"},
     "matplotlib": {"report", "api"},
     "jinja2": {"report", "results"},
+    "jsonschema": {"results"},
     "rosbags": {"logs"},
     "pyarrow": {"logs"},
     "h5py": {"logs"},
