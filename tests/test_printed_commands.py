@@ -49,7 +49,6 @@ ELSEWHERE = {
     "logs.ros_bag --topic": "logs/test_ros_topics.py",
     "logs.documents --topic": "logs/test_documents.py",
     "step: torque scales known": "test_walk.py",
-    "motion.promise --speed": "motion/test_promise.py",
     "motion.promise --duration": "motion/test_promise.py",
     "diagnosis.misfits --accept": "diagnosis/test_public_arms.py",
 }

@@ -88,27 +88,16 @@ class FurtherMotion:
 
     Attributes:
         words: of ``plan``, behind the model.
-        speed: over the highest one.
-        duration: at full speed [s].
+        duration: of its recording [s].
     """
 
     words: tuple[str, ...]
-    speed: float
     duration: float
 
-    @property
-    def length(self) -> float:
-        """Duration of the recording [s]."""
-        return self.duration / self.speed
 
-
-FURTHER_MOTIONS = (
-    FurtherMotion((), 1.0, 15.0),
-    FurtherMotion(("--speed", "0.2"), 0.2, 15.0),
-    FurtherMotion(("--duration", "60"), 1.0, 60.0),
-)
-"""What ``plan`` makes by default, slowly, which shows dry friction, and for longer; those that cost
-less first."""
+FURTHER_MOTIONS = (FurtherMotion((), 15.0), FurtherMotion(("--duration", "60"), 60.0))
+"""What ``plan`` makes by default, and for longer; those that cost less first. A slow motion is none
+of them: its low cut-off becomes that of all logs, and of six arms it made five worse."""
 
 
 @dataclass(frozen=True)
@@ -556,10 +545,9 @@ class Promise:
         return tuple(itertools.compress(self._fitted.arm.joints, is_still))
 
     @cached_property
-    def _further(self) -> dict[float, Sums]:
-        """Share of the highest speed to the sums of further motions."""
-        speeds = dict.fromkeys(motion.speed for motion in FURTHER_MOTIONS)
-        return {speed: self._sums(speed * self._highest) for speed in speeds}
+    def _further(self) -> Sums:
+        """The sums of further motions."""
+        return self._sums(self._highest)
 
     def _errors(self, held: Mapping[str, float], sums: Sums) -> ExpectedSquares:
         """Return the squares of the error of a model that holds some values."""
@@ -571,7 +559,7 @@ class Promise:
         Of those that are nearly as good, it is the one that costs least.
         """
         expected = [
-            self._after(file, self._further[motion.speed], motion.length)
+            self._after(file, self._further, motion.duration)
             for motion in FURTHER_MOTIONS
         ]
         best = min(expected)
