@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -336,7 +337,8 @@ def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextSt
     """Return the steps after a trajectory was played: identify from the recording, or play again.
 
     Behind a simulated arm real motors are checked. That of another model may have no friction: its
-    torque then looks computed, which ``identify`` has to accept.
+    torque then looks computed, which ``identify`` has to accept. Of one that is exactly as its
+    model nothing is to be found.
     """
     folder = plan.trajectory.path.parent
     planned = plan_settings(folder)
@@ -363,7 +365,9 @@ def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextSt
         overwrite=None,
         channel=session.options.address.channel or USUAL_CHANNEL,
     )
-    if not is_fast:
+    plant = session.options.plant.plant_model
+    is_model = plant is not None and plant.absolute() == Path(values["path"]).absolute()
+    if not is_fast or is_model:
         return [check]
     # From one recording no payload is weighed.
     purpose = purpose.replace("payload", "")
