@@ -162,7 +162,9 @@ def _map_columns(finder: ColumnFinder) -> ColumnMap:
     reasons = [*suggestion.reasons]
     if {"position", "torque"} & {*suggestion.blanks}:
         reasons.append(_HALF)
-    doubt = "with the '?' filled in" if suggestion.blanks else "if that is right"
+    doubt = "if that is right"
+    if suggestion.blanks:
+        doubt = f"with the '?' filled in{suggestion.fillings}"
     action = f"give {option_setting('columns', line)}" if is_for_python() else "run"
     sentences = [fault, *reasons, f"{doubt}, {action}"]
     raise InputError("; ".join(sentences), [("--columns", line, *suggestion.further)])

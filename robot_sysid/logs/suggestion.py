@@ -35,6 +35,14 @@ from robot_sysid.signals.stamps import is_sampled_motion
 
 BLANK = "?"
 """What stands for a column or a unit that could not be told."""
+FILLINGS: Mapping[str, str] = {
+    "time": "the column of the time",
+    "rate": "rows per second",
+    "position": "the listed columns that are positions",
+    "torque": "the listed columns that are torques",
+    "units": "their unit, such as deg, or 4096/rev of counts; of the time, such as ms",
+}
+"""Key of a line to what a person puts into its blank."""
 LOWEST_RATE = 10.0
 HIGHEST_RATE = 5000.0
 """Sampling rates between which logs of arms lie [Hz]: units of time differ by 1000, so that one of
@@ -126,6 +134,12 @@ class Suggestion:
         """The keys of which something could not be told."""
         entries = self._all_entries.items()
         return [k for k, value in entries if BLANK in value.replace(",", " ").split()]
+
+    @property
+    def fillings(self) -> str:
+        """What a person puts into the blanks; a joint's own one is explained by its reason."""
+        listed = [f"{key}: {FILLINGS[key]}" for key in self.blanks if key in FILLINGS]
+        return f" ({'; '.join(listed)})" if listed else ""
 
 
 @dataclass(frozen=True)
