@@ -51,18 +51,7 @@ def error_text(error: BaseException) -> str:
 
 
 class SysidError(Exception):
-    """Base of all errors raised on purpose; carries the process exit code."""
-
-    exit_code = 1
-
-    @property
-    def sentence(self) -> str:
-        """The message without commands below it."""
-        return str(self.args[0]) if self.args else ""
-
-
-class InputError(SysidError):
-    """Bad input or usage; the user has to change something.
+    """Base of all errors raised on purpose; carries the process exit code, and what remedies it.
 
     Attributes:
         options: options that remedy it, each with its value as words of a command line: added to
@@ -72,7 +61,7 @@ class InputError(SysidError):
         install: command of the user's shell that installs what is missing; "" for nothing.
     """
 
-    exit_code = 2
+    exit_code = 1
 
     def __init__(
         self,
@@ -91,10 +80,28 @@ class InputError(SysidError):
     def __str__(self) -> str:
         return "\n  ".join(filter(None, (self.sentence, self.install)))
 
+    @property
+    def sentence(self) -> str:
+        """The message without commands below it."""
+        return str(self.args[0])
+
+    def with_message(
+        self, message: str, command_lines: Sequence[Sequence[str]] = ()
+    ) -> SysidError:
+        """Return an error with the same remedies and another message, such as a longer one."""
+        remedies = self.options, self.command, command_lines, self.install
+        return SysidError(message, *remedies)
+
+
+class InputError(SysidError):
+    """Bad input or usage; the user has to change something."""
+
+    exit_code = 2
+
     def with_message(
         self, message: str, command_lines: Sequence[Sequence[str]] = ()
     ) -> InputError:
-        """Return an error with the same remedies and another message, such as a longer one."""
+        """Return such an error with the same remedies and another message."""
         remedies = self.options, self.command, command_lines, self.install
         return InputError(message, *remedies)
 
@@ -119,7 +126,7 @@ class ColumnsError(InputError):
     Attributes:
         draft: text of a columns file with the columns put right.
         name: file name to write the draft to.
-        options, command, command_lines: see ``InputError``.
+        options, command, command_lines: see ``SysidError``.
     """
 
     def __init__(

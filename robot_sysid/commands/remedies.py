@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands import PROGRAM
-from robot_sysid.errors import ColumnsError, InputError, SysidError
+from robot_sysid.errors import ColumnsError, SysidError
 from robot_sysid.logs.declarations import units_with
 from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
 from robot_sysid.records.messages import shell_line
@@ -27,8 +27,6 @@ def remedies(
         arguments: words behind the command's name.
         values: of its options, by key; empty where it was not parsed.
     """
-    if not isinstance(error, InputError):
-        return
     if error.install:
         yield error.install
     if error.command_lines:

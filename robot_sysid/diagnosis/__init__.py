@@ -21,10 +21,12 @@ class ColumnCorrection:
         position: (n,) for each joint, the index of the joint that has its position, and by which
             that column has to be multiplied.
         torque: the same of torques.
+        zeros: (n,) what is to be added to positions then [rad]; () for nothing.
     """
 
     position: tuple[tuple[int, float], ...]
     torque: tuple[tuple[int, float], ...]
+    zeros: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

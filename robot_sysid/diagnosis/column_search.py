@@ -436,7 +436,8 @@ def column_findings(
             # A smaller one is an encoder's offset, as a row of the faults of torque has it.
             is_turned = np.radians(size) >= ZERO_STEP
             level = Level.REFUSES if is_turned else Level.DOUBTS
-            yield Finding(level, FaultName.ZERO, text, remedy)
+            correction = reading.columns
+            yield Finding(level, FaultName.ZERO, text, remedy, correction=correction)
 
 
 def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:

@@ -102,8 +102,14 @@ class Reading:
 
     @property
     def columns(self) -> ColumnCorrection:
-        """The correction of a log's columns; zeros and gravity are none."""
-        return ColumnCorrection(*map(sources, (self.position, self.torque)))
+        """The correction of a log's columns, with zeros; gravity is none."""
+        # Half a turn at the most, in either direction.
+        zeros = (self.zeros + np.pi) % (2.0 * np.pi) - np.pi
+        return ColumnCorrection(
+            sources(self.position),
+            sources(self.torque),
+            tuple(zeros.tolist()) if np.any(zeros) else (),
+        )
 
 
 def sources(matrix: Array) -> tuple[tuple[int, float], ...]:

@@ -380,8 +380,10 @@ def require_acceptable(
     least = min(map(needs, refused), default=len(NEEDS))
     earlier = [doubt for doubt in doubts if refused and needs(doubt) < least]
     # A remedy is none where something else is wrong as well.
-    if len(refused) == 1 and not earlier:
-        raise refuse_for(logs, refused[0])
+    corrections = {finding.correction for finding in refused}
+    is_one = len(refused) == 1 or (len(corrections) == 1 and None not in corrections)
+    if is_one and not earlier:
+        raise refuse_for(logs, refused)
     names = ", ".join(log.name for log in logs)
     if refused:
         texts = "; ".join(finding.sentence for finding in [*earlier, *refused])
@@ -392,7 +394,10 @@ def require_acceptable(
         checks = dict.fromkeys(finding.about for finding in doubts)
         accepting = option_setting("accept", *checks)
         advice = f"nothing was written (to go on all the same: {accepting})"
-        raise SysidError(f"{names}: {texts}; {advice}")
+        message = f"{names}: {texts}; {advice}"
+        if len(doubts) == 1:
+            raise SysidError(message, doubts[0].options, doubts[0].command)
+        raise SysidError(message)
 
 
 def _still_refused(found: Sequence[Finding], accepted: Collection[str]) -> str:

@@ -1,4 +1,4 @@
-"""The error that refuses a log for one finding, with what puts the log right.
+"""The error that refuses a log for findings that one thing puts right, with what that is.
 
 That are options, or a columns file: the lines of the file that the user gave, if any, and one line
 for each column that changes.
@@ -17,22 +17,27 @@ from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.option_fields import Columns
 
 
-def refuse_for(logs: Sequence[Recording], finding: Finding) -> InputError:
-    """Return the error that refuses logs for a finding; ColumnsError where columns are wrong.
+def refuse_for(logs: Sequence[Recording], findings: Sequence[Finding]) -> InputError:
+    """Return the error that refuses logs for findings; ColumnsError where columns are wrong.
 
     Columns are those of the first log: logs of one run have one columns file.
+
+    Args:
+        logs: that were read.
+        findings: one, or several that have one correction of columns.
     """
     log = logs[0]
     names = ", ".join(each.name for each in logs)
-    text = f"{names}: {finding.sentence}"
-    options = finding.options
+    text = f"{names}: {'; '.join(finding.sentence for finding in findings)}"
+    finding = findings[0]
+    options = finding.options if len(findings) == 1 else ()
     columns = log.columns
     if finding.about is FaultName.ANGLE_UNIT and columns and columns.angle_declared:
         options = ()  # A unit in a title outranks the option.
     if finding.correction is not None and columns and (finding.command or not options):
         lines = _corrected_lines(log.joint_names, columns, finding.correction)
         if lines:
-            reason = f"{names}: {finding.text}"
+            reason = f"{names}: {'; '.join(each.text for each in findings)}"
             draft = _add_lines(log.options.get("columns"), lines, reason)
             name = _free_name(Path(log.name), draft)
             options = tuple((*each, "--columns", name) for each in options or [()])
@@ -45,8 +50,8 @@ def _corrected_lines(
 ) -> dict[str, str]:
     """Return key to value of the lines of a columns file that put columns right.
 
-    It is empty where a torque is no column, or joints have time stamps that a new order separates
-    from their positions.
+    It is empty where a torque is no column, joints have time stamps that a new order separates from
+    their positions, or a joint without a column has another zero.
 
     Args:
         joint_names: (n,) of the arm.
@@ -67,9 +72,15 @@ def _corrected_lines(
             if group[source].factor and (source != joint or factor != 1.0):
                 value = _column_text(columns.titles, group[source], factor)
                 lines[f"{quantity}.{name}"] = value
-    if lines and any(column.zero for column in columns.position):
-        for name, (source, _) in zip(joint_names, correction.position):
-            lines[f"zero.{name}"] = f"{columns.position[source].zero:.12g}"
+    zeros = correction.zeros or (0.0,) * len(joint_names)
+    if any(zeros) or (lines and any(column.zero for column in columns.position)):
+        for name, (source, factor), added in zip(joint_names, right["position"], zeros):
+            column = columns.position[source]
+            if added and not column.factor:
+                return {}
+            read = column.zero
+            read -= added / (factor * column.factor) if added else 0.0
+            lines[f"zero.{name}"] = f"{read:.12g}"
     return lines
 
 

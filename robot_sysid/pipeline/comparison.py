@@ -159,7 +159,7 @@ def check_log(
         if not is_run:
             found = _found_alone(robot, first, earlier)
             require_acceptable(first, found, (*config.log.accept, *_SHARED))
-    except InputError as error:
+    except SysidError as error:
         raise _of_earlier(error, config.model.path, since) from None
     second = _read(robot, config, progress)
     names, earlier_names = (tuple(log.name for log in side) for side in (second, first))
@@ -396,7 +396,7 @@ def _without_factors(found: Iterable[Finding]) -> list[Finding]:
     return [each for each in found if not each.is_common_factor]
 
 
-def _of_earlier(error: InputError, model: Path, since: Sequence[Any]) -> InputError:
+def _of_earlier(error: SysidError, model: Path, since: Sequence[Any]) -> SysidError:
     """Return the error of an earlier log with what to do about it."""
     takes = f"{option_name('since')} takes an earlier log, or the folder of a run on it"
     text = f"{takes}: {error}"

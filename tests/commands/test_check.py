@@ -92,6 +92,19 @@ def test_a_log_that_shows_nothing_or_is_none_is_refused(command, log, since, tex
     assert all(text in printed.err for text in texts)
 
 
+def test_a_doubt_about_the_earlier_log_is_said_to_be_its(folder, command):
+    """Its clock jumps."""
+    titles, *rows = (folder / "earlier.csv").read_text().splitlines()
+    jumping = [titles]
+    for number, row in enumerate(rows):
+        time, comma, others = row.partition(",")
+        jumping.append(f"{float(time) + 0.05 * (number // 700)}{comma}{others}")
+    (folder / "jumping.csv").write_text("\n".join(jumping))
+    printed = command.run("check arm.xml same.csv --since jumping.csv", code=1)
+    assert "--since takes an earlier log" in printed.err
+    assert "jumping.csv: the clock jumps" in printed.err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["on", "off"])
 def test_a_load_is_weighed_as_by_payload(folder, command, way):

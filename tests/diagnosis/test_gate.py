@@ -17,7 +17,7 @@ from robot_sysid.diagnosis.gate import (
     usable_fit,
 )
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.records import Motion, Recording
@@ -171,3 +171,34 @@ def test_an_accepted_doubt_is_said_and_passes_no_refusal(four_joints):
     found = (*judged.findings, refusal, other)
     with pytest.raises(InputError, match="--accept clock accepts doubts of that name"):
         require_acceptable([jumping], found, ("clock",))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_doubt_alone_has_its_remedies(four_joints, count):
+    """Where something else is in doubt as well, they may not be enough."""
+    scale = ("--torque-scale", "1.2")
+    doubt = Finding(
+        Level.DOUBTS, FaultName.TORQUE_SCALE, "a factor", options=(scale,), command="c"
+    )
+    other = Finding(Level.DOUBTS, FaultName.ZERO, "a zero is wrong")
+    with pytest.raises(SysidError, match="nothing was written") as caught:
+        require_acceptable([four_joints.log], [doubt, other][:count])
+    assert caught.value.exit_code == 1
+    expected = ((scale,), "c") if count == 1 else ((), "")
+    assert (caught.value.options, caught.value.command) == expected
+
+
+def test_two_zeros_that_are_wrong_are_put_right_together(four_joints):
+    """By lines of one columns file."""
+    robot = four_joints.robot
+    log = four_joints.log
+    turned = np.array([0.0, 0.5, -0.5, 0.0]) * np.pi
+    judged = judge(
+        robot,
+        [read_log(robot, replace(log, q=log.q + turned))],
+        Question(EstimationOptions()),
+        Progress(),
+    )
+    corrections = {finding.correction for finding in judged.findings}
+    assert len(judged.findings) == 2 and len(corrections) == 1
+    np.testing.assert_allclose(corrections.pop().zeros, -turned, atol=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,6 +34,11 @@ FILE = (
 CORRECTIONS = [
     s.reading.columns for s in mistakes(ROBOT, range(3)) if s.name in OF_COLUMNS
 ]
+QUARTER = 0.5 * np.pi
+ZEROS = [
+    replace(CORRECTIONS[k], zeros=zeros)
+    for k, zeros in ((0, (0.0, QUARTER, -QUARTER)), (-1, (np.pi, 0.0, 0.0)))
+]
 
 
 def columns_of(titles, path):
@@ -59,7 +65,7 @@ def refusal(
     finding = Finding(
         Level.REFUSES, "order", "it is wrong", "", payload, "payload", correction
     )
-    return refuse_for([log], finding)
+    return refuse_for([log], [finding])
 
 
 def signals(columns, quantity):
@@ -77,7 +83,7 @@ def signals(columns, quantity):
         (PLAIN, FILE + "zero = 5, 6, 7\n"),
     ],
 )
-@pytest.mark.parametrize("correction", CORRECTIONS)
+@pytest.mark.parametrize("correction", CORRECTIONS + ZEROS)
 def test_the_file_corrects_what_was_read(
     titles, text, correction, tmp_path, monkeypatch
 ):
@@ -92,6 +98,8 @@ def test_the_file_corrects_what_was_read(
         source = "position" if quantity == "velocity" else quantity
         order, factors = zip(*getattr(correction, source))
         expected = np.array(signals(before, quantity))[list(order)] * factors
+        if quantity == "position" and correction.zeros:
+            expected += correction.zeros
         np.testing.assert_allclose(signals(after, quantity), expected)
 
 
@@ -111,6 +119,13 @@ def test_a_file_of_another_text_is_not_suggested(tmp_path, monkeypatch):
     assert error.name == "run_columns_3.txt"
     Path(error.name).write_text(error.draft)
     assert refusal(PLAIN, CORRECTIONS[0], tmp_path).name == error.name
+
+
+def test_a_joint_without_a_column_gets_no_other_zero(tmp_path):
+    """Its number is the user's."""
+    text = "position.joint1 = 0.3\ntorque.joint1 = none\n"
+    error = refusal(PLAIN, ZEROS[0], tmp_path, text)
+    assert not isinstance(error, ColumnsError) and error.options == ()
 
 
 @pytest.mark.parametrize("attribute", ["commanded", "joint_time"])
@@ -134,5 +149,5 @@ def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
     )
     option = ("--units", "deg")
     finding = Finding(Level.REFUSES, FaultName.ANGLE_UNIT, "degrees", options=(option,))
-    error = refuse_for([log], finding)
+    error = refuse_for([log], [finding])
     assert error.options == (() if is_declared else (option,))
