@@ -6,7 +6,8 @@ result, if need be over further commands that it prints, and a next step's witho
 nothing more can be got, that is said.
 
 What prints a command is found in the package's source: an option that an error offers, and a state
-of ``STEPS``. Each has a situation here, or tests elsewhere.
+of ``STEPS``. Each has a situation here. A command with a blank is a form: it is filled in with what
+the person knows, which the words above it ask for, and run.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from __future__ import annotations
 import ast
 import json
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +26,16 @@ from rigs.arms import small_arms
 from rigs.arms.walk import Step, TrueArm, Walk, run_here
 from rigs.arms.wrong_arms import resting_torque, truth_of
 from rigs.files import urdf
-from rigs.logs import servo_logs
-from rigs.logs.log_files import write_signals
+from rigs.logs import recorded, servo_logs
+from rigs.logs.log_files import write, write_signals
+from rigs.motors.damiao_rig import MotorBus
+from robot_sysid.commands import motors
+from robot_sysid.logs.ros_messages import STATE
+from robot_sysid.logs.suggestion import FILLINGS
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.next_steps import STEPS
-from robot_sysid.records import Recording
+from robot_sysid.records import Motion, Recording
 from tests.diagnosis.conftest import FOUR_AXES, JOINT
 from tests.test_architecture import nodes_of, package_sources
 
@@ -41,18 +46,6 @@ FORWARDING = {
     "robot_sysid.wording",
 }
 """Modules that print the commands of others."""
-ELSEWHERE = {
-    "step: motion planned for motors": "commands/test_motors_steps.py",
-    "step: motion recorded": "commands/test_motors_steps.py",
-    "commands.motors.setup --motor": "commands/test_motors_setup.py",
-    "commands.motors.session --accept": "commands/test_motors.py",
-    "logs.ros_bag --topic": "logs/test_ros_topics.py",
-    "logs.documents --topic": "logs/test_documents.py",
-    "step: torque scales known": "test_walk.py",
-    "motion.promise --duration": "motion/test_promise.py",
-    "diagnosis.misfits --accept": "diagnosis/test_public_arms.py",
-}
-"""Sources whose commands need motors, a library or another arm, to the tests that have it."""
 MOST_COMMANDS = 4
 """Commands one after the other within which a refusal has to lead to a result."""
 
@@ -96,6 +89,8 @@ class Situation:
         prepare: writes the files into the working folder, and returns the arm of later recordings.
         ends: what is said where nothing more can be got; "" where each command leads on.
         is_fast: whether it takes less than a second.
+        knows: what the person puts into the blanks of a printed command, by the key of each.
+        has_motors: whether two motors answer on a bus.
         folders: of the results before and after, of which the second is to be better elsewhere.
     """
 
@@ -104,6 +99,8 @@ class Situation:
     prepare: Callable[[], TrueArm | None]
     ends: str = ""
     is_fast: bool = False
+    knows: Mapping[str, str] = field(default_factory=dict)
+    has_motors: bool = False
     folders: tuple[str, str] = ("", "")
 
 
@@ -160,6 +157,90 @@ def arm_with_currents() -> TrueArm:
     arm = TrueArm(load_robot_model(written_arm()), 1, constants)
     arm.record(Path("log.csv"), arm.first_plan, 0.0)
     return arm
+
+
+def noisy_arm() -> TrueArm:
+    """Noise as large as half of the torque: more of the motion helps, and no other one."""
+    arm = TrueArm(load_robot_model(written_arm()), 1, carries=False)
+    arm.noise *= 50.0
+    arm.record(Path("log.csv"), replace(arm.first_plan, duration=15.0), 0.0)
+    arm.tool_mass = 0.0
+    return arm
+
+
+def a_link_too_heavy() -> None:
+    """The third of six links has four times its mass and inertia in the model."""
+    text = small_arms.serial_arm((*FOUR_AXES, small_arms.Y, small_arms.X), joint=JOINT)
+    robot = load_robot_model(written_arm(text))
+    log = truth_of(robot, seed=4).log
+    write_measurement_csv(Path("log.csv"), robot.joint_names, [log])
+    link = [*re.finditer("<inertial.*?>", text)][2]
+    number = r"(?<=mass=\").*?(?=\")|(?<=inertia=\").*?(?=\")"
+
+    def times_four(numbers: re.Match[str]) -> str:
+        return " ".join(str(4.0 * float(word)) for word in numbers[0].split())
+
+    heavy = re.sub(number, times_four, link[0])
+    written_arm(text[: link.start()] + heavy + text[link.end() :])
+
+
+def topics_of_two_arms() -> None:
+    """A ROS bag."""
+    robot = load_robot_model(written_arm())
+    log = truth_of(robot, seed=4).log
+    states = recorded.shuffled_states(log, robot.joint_names)
+    topics = [(f"/{side}/joint_states", STATE, states) for side in ("left", "right")]
+    recorded.write_bag(Path("log"), topics)
+
+
+def topics_of_json() -> None:
+    """An MCAP file."""
+    robot = load_robot_model(written_arm())
+    log = truth_of(robot, seed=4).log
+    samples = [*zip(log.time.tolist(), log.q.tolist(), log.tau.tolist())]
+    messages = [
+        (topic, round(1e9 * time), {"t": time, "q": q, "tau": tau})
+        for topic in ("/left", "/right")
+        for time, q, tau in samples
+    ]
+    recorded.write_json_mcap(Path("log.mcap"), messages)
+
+
+def a_joint_that_stands() -> None:
+    """It has no column."""
+    robot = load_robot_model(written_arm())
+    truth = truth_of(robot, seed=4)
+    moving = [0, 1, 3]
+    moves = np.isin(range(4), moving)
+    place = np.where(moves, 0.0, 0.7)
+    motion = truth.motion
+    motion = Motion(
+        motion.time, place + moves * motion.q, moves * motion.qd, moves * motion.qdd
+    )
+    noise = 0.01 * np.random.default_rng(1).normal(size=motion.q.shape)
+    log = truth.arm.log(motion, noise)
+    titles = ["time", *map("q{}".format, moving), *map("tau{}".format, moving)]
+    rows = np.column_stack((log.time, log.q[:, moving], log.tau[:, moving]))
+    write(Path("log.csv"), rows, titles)
+
+
+MOTORS = "--motor-type DM4340 --motor-type DM4340"
+
+
+def arm_with_motors() -> None:
+    """An arm of the two motors on the bus, and another one, which is heavier."""
+    axes = (small_arms.Y, small_arms.Y)
+    text = small_arms.serial_arm(axes, joint='range="-2 2" armature=".02"')
+    written_arm(text)
+    heavier = re.sub('mass="(.*?)"', lambda m: f'mass="{1.2 * float(m[1])}"', text)
+    written_arm(heavier, "heavier.xml")
+
+
+def motion_for_motors() -> None:
+    arm_with_motors()
+    line = f"robot-sysid plan arm.xml {MOTORS} --export-damiao --output-dir planned"
+    code, output = run_here(line, is_hasty=True)
+    assert code == 0, output
 
 
 def small_motion_in_degrees() -> None:
@@ -220,6 +301,15 @@ def earlier_log() -> None:
 def in_time(factor: float) -> Callable[[], None]:
     return log_with(lambda log: replace(log, time=factor * log.time))
 
+
+def form(titles: Mapping[str, str], **knows: str) -> Situation:
+    """Return a log whose titles do not say all, and what the person says."""
+    prepare = log_titled(**titles)
+    sources = ("logs.reader --columns",)
+    return Situation(sources, "log log.csv arm.xml", prepare, is_fast=True, knows=knows)
+
+
+SIMULATED = "motors simulate planned/damiao_trajectory.csv --model arm.xml --record rehearsed.csv"
 
 SITUATIONS = {
     "two arms": Situation(
@@ -316,6 +406,82 @@ SITUATIONS = {
     "on a wall": Situation(
         ("diagnosis.column_search --gravity",), "log log.csv arm.xml", arm_on_a_wall
     ),
+    "noisy log": Situation(
+        ("motion.promise --duration",),
+        "identify arm.xml log.csv",
+        noisy_arm,
+        folders=("sysid_output", "sysid_output/both"),
+    ),
+    "weight bolted on": Situation(
+        ("step: torque scales known",),
+        "payload arm.xml --empty log.csv --loaded weight.csv --known-mass 1 --save-torque-scale "
+        "scales.json --output-dir scales",
+        arm_with_currents,
+    ),
+    "heavy link": Situation(
+        ("diagnosis.misfits --accept", "diagnosis.scales --mass-scale"),
+        "log log.csv arm.xml",
+        a_link_too_heavy,
+    ),
+    "topics of two arms": Situation(
+        ("logs.ros_bag --topic",), "log log arm.xml", topics_of_two_arms
+    ),
+    "topics of JSON": Situation(
+        ("logs.documents --topic",), "log log.mcap arm.xml", topics_of_json
+    ),
+    "planned for motors": Situation(
+        ("step: motion planned for motors",),
+        f"plan arm.xml {MOTORS} --export-damiao --output-dir planned",
+        arm_with_motors,
+        has_motors=True,
+    ),
+    "rehearsed": Situation(
+        ("step: motion recorded",),
+        SIMULATED,
+        motion_for_motors,
+        ends="motors map",
+        has_motors=True,
+    ),
+    "rehearsed on another model": Situation(
+        ("commands.motors.session --accept",),
+        f"{SIMULATED} --plant-model heavier.xml",
+        motion_for_motors,
+        ends="motors map",
+        has_motors=True,
+    ),
+    "motor changed": Situation(
+        ("commands.motors.setup --motor",),
+        "motors setup --channel can0 --motor 1 --watchdog 0.2",
+        lambda: None,
+        has_motors=True,
+        is_fast=True,
+    ),
+    "two angles": form(
+        {"time": "t", "a_pos_xN": "q", "b_pos_xN": "heat", "tauN": "tau"},
+        position="a_pos_x*",
+    ),
+    "counts": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml",
+        log_titled(**{"time": "t", "servo[N].ticks": "ticks", "tauN": "tau"}),
+        knows={"units": "4096/rev"},
+    ),
+    "two clocks": form(
+        {"clock_x": "t", "clock_y": "ms", "qN": "q", "tauN": "tau"}, time="clock_x"
+    ),
+    "rows that count": form(
+        {"Takt": "row", "Ist-Position_AN": "deg", "Ist-Moment_AN": "tau"}, rate="250"
+    ),
+    "neither positions nor torques": form(
+        {"t": "t", "aN": "q", "bN": "tau"}, position="a*", torque="b*"
+    ),
+    "joint that stands": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml",
+        a_joint_that_stands,
+        is_fast=True,
+        knows={"position.joint2": "0.7"},
+    ),
     "earlier log in degrees": Situation(
         ("pipeline.comparison command",),
         "check arm.xml log.csv --since earlier.csv",
@@ -327,16 +493,27 @@ SITUATIONS = {
 
 def test_everything_that_prints_a_command_has_a_situation():
     covered = {source for each in SITUATIONS.values() for source in each.sources}
-    assert sources() == covered | {*ELSEWHERE}
-    assert not covered & {*ELSEWHERE}
-    for test in ELSEWHERE.values():
-        assert (Path(__file__).parent / test).is_file()
+    assert sources() == covered
 
 
-def printed_lines(output: str) -> list[str]:
-    """Return the commands of an output; one with a blank to be filled in is a form, and none."""
-    lines = re.findall("^  (robot-sysid .+)$", output, re.MULTILINE)
-    return [line for line in lines if "?" not in line]
+def test_each_blank_of_a_form_has_a_situation():
+    known = {key for each in SITUATIONS.values() for key in each.knows}
+    assert known >= {*FILLINGS}
+
+
+def printed_lines(output: str, knows: Mapping[str, str]) -> list[str]:
+    """Return the commands of an output, their blanks filled in with what a person knows."""
+    lines = []
+    for line in re.findall("^  (robot-sysid .+)$", output, re.MULTILINE):
+        for key in re.findall(r"([\w.]+) = \?", line):
+            # What is asked for is said above the command.
+            _, is_of_joint, joint = key.partition(".")
+            asked = f"if {joint} stood still" if is_of_joint else FILLINGS[key]
+            assert asked in output, output
+            line = line.replace(f"{key} = ?", f"{key} = {knows[key]}")
+        assert "?" not in line
+        lines.append(line)
+    return lines
 
 
 def shows(source: str, outputs: str) -> bool:
@@ -349,7 +526,7 @@ def shows(source: str, outputs: str) -> bool:
             sentence.partition("{")[0] in outputs or f"  robot-sysid {words}" in outputs
         )
     words = source.split()[1]
-    lines = "\n".join(printed_lines(outputs))
+    lines = "\n".join(re.findall("^  robot-sysid .+$", outputs, re.MULTILINE))
     return ("robot-sysid " if words == "command" else words) in lines
 
 
@@ -364,6 +541,9 @@ class Follower:
 
     def __init__(self, situation: Situation, arm: TrueArm | None) -> None:
         self._ends = situation.ends
+        self._knows = situation.knows
+        equipment = MotorBus(watchdog=0.5, echo=True).equipment
+        self._commands = motors.commands_with(equipment) if situation.has_motors else ()
         self._walk = None if arm is None else Walk(arm)
         self._tried: set[str] = set()
         self.outputs = ""
@@ -373,9 +553,13 @@ class Follower:
         self._tried.add(line)
         if self._walk is not None:
             self._walk.record_missing(line)
-        step = Step(line, *run_here(line, is_hasty=True))
+        step = Step(line, *run_here(line, self._commands, is_hasty=True))
         self.outputs += step.output
         return step
+
+    def lines_in(self, output: str) -> list[str]:
+        """Return the commands of an output, as the person runs them."""
+        return printed_lines(output, self._knows)
 
     def leads_on(self, line: str, is_step: bool, depth: int = 1) -> bool:
         """Return whether a command ends well, of a refusal if need be over others that it prints.
@@ -391,7 +575,7 @@ class Follower:
         if self._ends and self._ends in step.output:
             return True
         further = [
-            each for each in printed_lines(step.output) if each not in self._tried
+            each for each in self.lines_in(step.output) if each not in self._tried
         ]
         if is_step or depth == MOST_COMMANDS:
             return False
@@ -413,7 +597,7 @@ def test_every_printed_command_leads_on(name, tmp_path, monkeypatch):
     situation = SITUATIONS[name]
     follower = Follower(situation, situation.prepare())
     first = follower.run(f"robot-sysid {situation.words}")
-    lines = printed_lines(first.output)
+    lines = follower.lines_in(first.output)
     assert lines, first.output
     for line in lines:
         assert follower.leads_on(line, first.code == 0), (line, follower.outputs)
