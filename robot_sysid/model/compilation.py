@@ -12,7 +12,7 @@ import contextlib
 import locale
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Union
@@ -40,12 +40,15 @@ from robot_sysid.model.bodies import inertia_about_com
 from robot_sysid.model.dry_friction import with_dry_friction_in_joints
 from robot_sysid.records import Array
 from robot_sysid.records.drafts import temporary_folder
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Progress, printable
 from robot_sysid.wording import option_name
 
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 """Exceptions by which MuJoCo refuses a model."""
+# Elements whose numbers are of no arm.
+_OF_PICTURES = {"light", "camera", "texture", "material"}
+_NAN = re.compile(r"(?<!\S)[-+]?nan(?!\S)", re.IGNORECASE)
 AXES_ERROR = 1e-2
 """Largest error of a compiled inertia, as a share of its trace, that comes of MuJoCo's principal
 axes before release 3.14: these have about six digits, fewer where two moments are nearly equal."""
@@ -145,7 +148,7 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
     find_assets(document)
     massless = links_without_mass(document) if document.is_urdf else frozenset()
     with captured_warnings() as warnings:
-        mj_model, notes = _compile(document)
+        mj_model, notes = _compile(document, warnings)
     _check_values(mj_model, document)
     return CompiledModel(
         in_joints(mj_model),
@@ -185,11 +188,14 @@ def in_joints(mj_model: Any) -> Any:
     return with_dry_friction_in_joints(with_actuators_in_joints(mj_model))
 
 
-def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
+def _compile(
+    document: ModelDocument, warnings: Sequence[str]
+) -> tuple[Any, tuple[str, ...]]:
     """Return a document, which may be changed, compiled, and notes on what was changed.
 
-    ModelError where it cannot be compiled. In a URDF, moving links without mass get a minimum, and
-    moments of inertia that no body has are raised; other inertias are exact.
+    ModelError where it cannot be compiled. MuJoCo's warnings are added to ``warnings``. In a URDF,
+    moving links without mass get a minimum, and moments of inertia that no body has are raised;
+    other inertias are exact.
     """
     notes: tuple[str, ...] = ()
     inertias = {}
@@ -199,6 +205,7 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
             notes = make_compilable(document)
             inertias = link_inertias(document)
         except (ValueError, TypeError) as error:
+            _refuse_stated_nan(document)
             raise ModelError(
                 f"{document.path}: a number cannot be read: {error}"
             ) from None
@@ -212,6 +219,7 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
         else:
             mj_model = mujoco.MjModel.from_xml_path(str(document.path))
     except FAILURES as error:
+        _refuse_nan(document, warnings)
         if not document.is_urdf:
             # Asked only now, so that MuJoCo's own rules decide what is missing.
             refuse_missing_assets(document)
@@ -228,8 +236,31 @@ def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
                 "<inertial> needs none"
             )
         raise ModelError(f"MuJoCo cannot compile {document.path}: {message}") from None
+    _refuse_nan(document, warnings)
     restore_exact_inertias(mj_model, inertias)
     return mj_model, notes
+
+
+def _refuse_nan(document: ModelDocument, warnings: Sequence[str]) -> None:
+    """Raise ModelError, with the place, where MuJoCo warns that it has read a nan.
+
+    It takes a nan for what the file does not state, such as a centre of mass at the origin.
+    """
+    if any("'nan'" in warning.lower() for warning in warnings):
+        _refuse_stated_nan(document)
+
+
+def _refuse_stated_nan(document: ModelDocument) -> None:
+    """Raise ModelError for the first nan of an arm in a file; a name may be one."""
+    for element in document.root.iter("*"):
+        for key, value in element.attrib.items():
+            is_number = key != "name" and element.tag not in _OF_PICTURES
+            if is_number and _NAN.search(value):
+                path = document.sources.get(element, document.path)
+                raise ModelError(
+                    f"{path}, line {element.sourceline}: {key}={printable(value)!r:.60} of "
+                    f"<{element.tag}> is no number; state what it is"
+                )
 
 
 def _wrong_inertias(document: ModelDocument) -> Iterator[str]:

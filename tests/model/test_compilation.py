@@ -37,7 +37,26 @@ def world(content: str) -> str:
     [
         (world(BODY.format("")), "inertia of moving bodies .*name .*b.*line .*1"),
         (world("\n<body foo='1'/>"), "unrecognized attribute: 'foo' .*'body', line 2"),
-        (world(f"<body pos='0 nan 0'>{INERTIAL}</body>"), "no arm has .body_pos nan"),
+        (
+            world(f"<body name='nan'/>\n<body pos='0 nan 0'>{INERTIAL}</body>"),
+            ", line 2: pos='0 nan 0' of <body> is no number; state what it is",
+        ),
+        (
+            world(BODY.format(INERTIAL.replace("0.01", "nan"))),
+            "line 1: pos='nan 0.02 0.03' of <inertial> is no number",
+        ),
+        (
+            world(
+                BODY.format(
+                    "<inertial pos='0 0 0' mass='1' fullinertia='NaN 1 1 0 0 0'/>"
+                )
+            ),
+            "fullinertia='NaN 1 1 0 0 0' of <inertial> is no number",
+        ),
+        (
+            URDF.replace('ixx="0.01"', 'ixx="-nan"'),
+            "line .*: ixx='-nan' of <inertia> is no number",
+        ),
         (
             "<mujoco><option gravity='0 0 -1e300'/><worldbody/></mujoco>",
             r"a value no arm has \(gravity 1e\+300\)",
