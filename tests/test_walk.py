@@ -11,6 +11,8 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from rigs.arms import small_arms
@@ -134,6 +136,43 @@ def test_the_second_motion_that_is_proposed_makes_the_file_better():
     after = second["after"]["relative_error"]
     assert after < 0.9 * first["after"]["relative_error"]
     assert after < 2.0 * first["next"]["relative_error"]
+
+
+@pytest.mark.slow
+def test_a_base_without_mass_is_left_alone_from_a_plan_to_the_file_to_use():
+    """Two slides and a hinge, as models have that place an arm on a plane; their travel ends."""
+    content = small_arms.serial_bodies(small_arms.SEVEN_AXES[:4], joint=JOINT)
+    dummy = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/>'
+    base = [
+        f'<joint name="{name}" type="{kind}" axis="{axis}" range="-1 1"/>'
+        for name, kind, axis in (
+            ("along", "slide", small_arms.X),
+            ("across", "slide", small_arms.Y),
+            ("turn", "hinge", small_arms.Z),
+        )
+    ]
+    content = small_arms.link(base[2], content, "stand")
+    for joint in (base[1], base[0]):
+        content = small_arms.link(joint, content, inertial=dummy)
+    path = Path("on a base.xml")
+    path.write_text(small_arms.world(content))
+    arm = TrueArm(load_robot_model(path), carries=False)
+    arm.tool_mass = 0.0
+    walk = Walk(arm, has_tool=False)
+    walk.follow(shlex.join(["robot-sysid", "plan", str(path)]))
+    require_done(walk, "Use this file: ")
+    plan, identify, *_ = walk.steps
+    assert "along, across, turn" in plan.output
+    trajectory = next(Path().rglob("trajectory.csv")).read_text().partition("\n")[0]
+    names = ("joint0", "joint1", "joint2", "joint3")
+    assert all(name in trajectory for name in names) and "along" not in trajectory
+    files = [*Path().rglob("updated_model.xml")]
+    before = mujoco.MjModel.from_xml_path(str(path))
+    for file in files:
+        after = mujoco.MjModel.from_xml_path(str(file))
+        assert np.array_equal(after.body_mass[:4], before.body_mass[:4])
+        assert np.array_equal(after.dof_damping[:3], before.dof_damping[:3])
+    assert files
 
 
 @pytest.mark.slow
