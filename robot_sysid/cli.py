@@ -20,9 +20,10 @@ from robot_sysid.commands import (
     print_text,
 )
 from robot_sysid.commands.arguments import Command
-from robot_sysid.commands.remedies import remedies
+from robot_sysid.commands.remedies import paths_of_logs, remedies
 from robot_sysid.errors import (
     INTERRUPTED,
+    AmbiguousJointError,
     ColumnsError,
     InputError,
     SysidError,
@@ -76,7 +77,7 @@ def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = ()) ->
             values, console = command.parse(arguments)
             return command.run(values, console)
         except SysidError as error:
-            stated = _with_columns_file(error)
+            stated = _with_columns_file(_with_named_arm(error, values))
             lines = [*remedies(stated, name, arguments, values)]
             return _report_error(stated.sentence, error.exit_code, debug, lines)
         except MemoryError:
@@ -87,6 +88,16 @@ def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = ()) ->
             if interrupts or isinstance(error, KeyboardInterrupt):
                 return _report_error(interrupted, INTERRUPTED, debug)
             return _report_unexpected(error, debug)
+
+
+def _with_named_arm(error: SysidError, values: Mapping[str, Any]) -> SysidError:
+    """Return an error; where a model has several arms, the one that names the arm of the logs."""
+    logs = paths_of_logs(values)
+    if not isinstance(error, AmbiguousJointError) or not logs:
+        return error
+    from robot_sysid.pipeline.named_arm import error_of_named_arm
+
+    return error_of_named_arm(error, logs, values)
 
 
 def _with_columns_file(error: SysidError) -> SysidError:

@@ -8,16 +8,20 @@ import shlex
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rigs.arms.small_arms import TWO_ARMS, Y, serial_arm
 from rigs.files.command_line import OUT, files_in
 from rigs.files.places import GUESS
+from rigs.logs.log_files import motion
 from robot_sysid.cli import main, on_one_line, record_interrupts
 from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import ColumnsError
+from robot_sysid.logs.text import write_measurement_csv
 
 ARM = serial_arm((Y, "1 .2 0"))
 SHORT = ("--duration", "1", "--sample-rate", "100", "--seed", "1")
@@ -68,6 +72,33 @@ def test_a_doubt_about_the_joint_ends_with_commands_that_run(arm, command):
     assert [remedy[-1] for remedy in remedies] == ["left_joint3", "right_joint3"]
     printed = command.run(*remedies[1]).out
     assert "Identified terminal joint: right_joint3" in printed
+
+
+@pytest.mark.parametrize(
+    ("prefixes", "joints"),
+    [
+        (["right_"], ["right_joint3"]),
+        # Both, and neither.
+        (["right_", "left_"], ["left_joint3", "right_joint3"]),
+        ([""], ["left_joint3", "right_joint3"]),
+    ],
+)
+@pytest.mark.parametrize("words", ["log log.csv {}", "identify {} log.csv"])
+def test_of_two_arms_the_one_is_proposed_whose_joints_a_log_names(
+    prefixes, joints, words, arm, tmp_path, monkeypatch, command
+):
+    monkeypatch.chdir(tmp_path)
+    arm.write_text(TWO_ARMS)
+    names = [f"{prefix}joint{k}" for prefix in prefixes for k in range(4)]
+    log = replace(motion(), joint_names=tuple(names))
+    parts = [(log.q[:, k % 3], log.tau[:, k % 3]) for k in range(len(names))]
+    q, tau = (np.column_stack(columns) for columns in zip(*parts))
+    log = replace(log, q=q, qd=None, tau=tau)
+    write_measurement_csv(tmp_path / "log.csv", names, [log])
+    err = command.run(words.format(arm), code=2).err
+    remedies = commands_in(err)
+    assert [remedy[-2:] for remedy in remedies] == [["--joint", j] for j in joints]
+    assert ("log.csv has the names of the joints up to" in err) == (len(joints) == 1)
 
 
 def test_a_word_that_is_neither_model_nor_command_is_told_what_is_expected(command):

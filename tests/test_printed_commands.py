@@ -264,6 +264,13 @@ def two_arms() -> None:
     written_arm(small_arms.TWO_ARMS)
 
 
+def two_arms_and_a_log_of_one() -> None:
+    two_arms()
+    robot = load_robot_model("arm.xml", joint="right_joint3")
+    log = truth_of(robot, seed=4).log
+    write_measurement_csv(Path("log.csv"), robot.joint_names, [log])
+
+
 def arm_on_a_free_base() -> None:
     bodies = small_arms.serial_bodies(FOUR_AXES, joint=JOINT)
     base = small_arms.link('<freejoint name="root"/>', bodies, "base")
@@ -314,6 +321,11 @@ SIMULATED = "motors simulate planned/damiao_trajectory.csv --model arm.xml --rec
 SITUATIONS = {
     "two arms": Situation(
         ("errors --joint",), "arm.xml --duration 1", two_arms, is_fast=True
+    ),
+    "two arms, one of them logged": Situation(
+        ("pipeline.named_arm --joint",),
+        "log log.csv arm.xml",
+        two_arms_and_a_log_of_one,
     ),
     "free base": Situation(
         ("model.chain --fix-base",),

@@ -33,7 +33,7 @@ def remedies(
         for words in error.command_lines:
             yield shell_line([PROGRAM, *words])
         return
-    logs = _paths_of_logs(values)
+    logs = paths_of_logs(values)
     for stated in error.options:
         option = _with_units_of(values, stated)
         # A payload of known mass has all that the weighing needs, but for the first scales.
@@ -48,7 +48,7 @@ def remedies(
             yield shell_line([PROGRAM, *name.split(), *typed, *option])
 
 
-def _paths_of_logs(values: Mapping[str, Any]) -> list[Path]:
+def paths_of_logs(values: Mapping[str, Any]) -> list[Path]:
     """Return the logs that a command was given first; a file may name one as a text, in no list."""
     for key in ("log", "measurements", "empty"):
         if values.get(key):
