@@ -372,6 +372,14 @@ def with_scale_prior(
 
 
 @dataclass(frozen=True)
+class CheckConfig(IdentifyConfig):
+    """Options of ``check``, which writes nothing: its model may be a result."""
+
+    def _output_files(self) -> Iterator[tuple[str, Path]]:
+        yield from ()
+
+
+@dataclass(frozen=True)
 class PayloadOptions(OptionRecord):
     """Recordings without and with a payload, and what is estimated and written of it."""
 

@@ -15,6 +15,7 @@ import numpy as np
 from robot_sysid.api.keywords import with_keywords, with_options_of
 from robot_sysid.api.results import PlanResult, Result, one_thread
 from robot_sysid.config import (
+    CheckConfig,
     Config,
     IdentifyConfig,
     PayloadConfig,
@@ -350,7 +351,7 @@ def check(
     """
     values = {**options, "measurements": _log_sources(log)}
     with _quietly() as notes:
-        config = IdentifyConfig.of(path_of(model), **values)
+        config = CheckConfig.of(path_of(model), **values)
         return check_log(config, _log_sources(since), notes)
 
 

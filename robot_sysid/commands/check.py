@@ -9,7 +9,7 @@ from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import MODEL, Command, LogArgument
-from robot_sysid.config import IdentifyConfig
+from robot_sysid.config import CheckConfig
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import OF_LOG, ModelOptions
 from robot_sysid.records.messages import aligned_lines, number_text
@@ -43,7 +43,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     since = record_from(EarlierLog, values).since
     own_keys = keys_of(LogArgument, EarlierLog)
     options = {key: value for key, value in values.items() if key not in own_keys}
-    config = IdentifyConfig.of(measurements=log, **options)
+    config = CheckConfig.of(measurements=log, **options)
     result = check_log(config, since, console)
     rows = [
         [

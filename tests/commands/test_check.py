@@ -15,6 +15,7 @@ from rigs.arms.wrong_arms import truth_of
 from rigs.files.command_line import CommandLine
 from robot_sysid import spatial
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.parser import load_robot_model
 
 ARM = small_arms.serial_arm(small_arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
 OTHER = small_arms.serial_arm(
@@ -90,6 +91,65 @@ def test_a_zero_that_moved_is_named_with_its_size_and_what_to_do(command):
 def test_a_log_that_shows_nothing_or_is_none_is_refused(command, log, since, texts):
     printed = command.run(f"check arm.xml {log}.csv --since {since}", code=2)
     assert all(text in printed.err for text in texts)
+
+
+def test_the_file_of_a_run_may_be_the_model_that_a_log_is_compared_with(
+    folder, command
+):
+    """It lies where identify would write, which check does not."""
+    result = folder / "sysid_output" / "updated_model.xml"
+    result.parent.mkdir()
+    result.write_text(ARM)
+    command.run(f"check {result.relative_to(folder)} same.csv --since earlier.csv")
+    assert list(result.parent.iterdir()) == [result]
+    result.unlink()
+    result.parent.rmdir()
+
+
+def in_tonnes(text):
+    """Return a model whose links weigh 1, 2, 1.5 and 0.7 kg, stated in tonnes."""
+    masses = iter((1e-3, 2e-3, 1.5e-3, 0.7e-3))
+
+    def inertial(stated):
+        mass = next(masses)
+        moments = " ".join(
+            f"{mass * float(number):g}" for number in stated["moments"].split()
+        )
+        return f'mass="{mass:g}" fullinertia="{moments}"'
+
+    return re.sub('mass=".*?" fullinertia="(?P<moments>.*?)"', inertial, text)
+
+
+@pytest.mark.slow
+def test_a_model_in_tonnes_goes_from_a_log_over_the_report_to_the_check(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    command = CommandLine(tmp_path, capsys)
+    (tmp_path / "arm.xml").write_text(in_tonnes(ARM))
+    robot = load_robot_model("arm.xml", mass_scale=1e3)
+    truth = truth_of(robot, 2)
+    motion = truth_of(robot, 3).motion
+    noise = 0.02 * np.random.default_rng(1).standard_normal(motion.q.shape)
+    later = truth.arm.log(motion, noise)
+    for name, log in (("log.csv", truth.log), ("later.csv", later)):
+        write_measurement_csv(tmp_path / name, robot.joint_names, [log])
+    assert "--mass-scale 1000" in command.run("log log.csv arm.xml", code=2).err
+    command.run("log log.csv arm.xml --mass-scale 1000")
+    command.run("identify arm.xml log.csv --mass-scale 1000 --output-dir run")
+    rows = json.loads((tmp_path / "run" / "params.json").read_text())["quantities"]
+    (mass,) = [row for row in rows if (row["name"], row["of"]) == ("mass", "link3")]
+    assert mass["model"] == pytest.approx(0.7)
+    assert abs(mass["value"] - truth.theta[0]) < 2.0 * mass["error"]
+    command.run("report run")
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "0.70" in page and f"{mass['value']:.2f}" in page
+    line = "check arm.xml later.csv --since run"
+    assert f"robot-sysid {line} --mass-scale 1000" in command.run(line, code=2).err
+    assert "Unchanged" in command.run(f"{line} --mass-scale 1000").out
+    # The file has its masses in kg.
+    line = "check run/updated_model.xml later.csv --since log.csv"
+    assert "Unchanged" in command.run(line).out
 
 
 def test_a_doubt_about_the_earlier_log_is_said_to_be_its(folder, command):

@@ -153,12 +153,12 @@ def judge_run(plan: Plan, model: Path | None, options: ModelOptions) -> RunFindi
 def _beside_model(path: Path, model: Path, options: ModelOptions) -> RunFindings:
     """Return how the arm of a recording differs from the model; SysidError where nothing shows."""
     # Imported here so that a run does not wait for it.
-    from robot_sysid.config import IdentifyConfig
+    from robot_sysid.config import CheckConfig
     from robot_sysid.pipeline.comparison import check_log
 
     given = given_values(options)
     of_model = {key: given[key] for key in OF_LOG if key in given}
-    config = IdentifyConfig.of(path=model, measurements=(path,), **of_model)
+    config = CheckConfig.of(path=model, measurements=(path,), **of_model)
     check = check_log(config, (), Progress())
     if not check.has_changed:
         return RunFindings(check.notes)
