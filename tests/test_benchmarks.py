@@ -181,3 +181,16 @@ def test_scripts_that_texts_name_are_there():
     ]
     assert len({name for _, name in named if name.startswith("benchmarks")}) > 40
     assert [(page, name) for page, name in named if not is_there(name)] == []
+
+
+@pytest.mark.parametrize("is_written", [False, True])
+def test_a_table_is_printed_and_where_asked_for_in_its_page(
+    is_written, tmp_path, capsys
+):
+    page = tmp_path / "page.md"
+    table = PageTable(page, "table", "python -m made")
+    page.write_text(f"above\n{table.begin}\nold\n{table.end}\nbelow\n")
+    table.show(["new", "rows"], is_written)
+    assert capsys.readouterr().out == "new\nrows\n"
+    assert table.read().split() == (["new", "rows"] if is_written else ["old"])
+    assert page.read_text().startswith("above\n") and "below" in page.read_text()

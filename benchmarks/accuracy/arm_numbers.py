@@ -283,10 +283,7 @@ def page_lines(root: Path) -> list[str]:
 
 def main(folder: str, *options: str) -> None:
     """Print the tables; write them where that is asked for."""
-    lines = page_lines(Path(folder).resolve())
-    print("\n".join(lines))
-    if "--write" in options:
-        TABLE.write(lines)
+    TABLE.show(page_lines(Path(folder).resolve()), "--write" in options)
 
 
 if __name__ == "__main__":

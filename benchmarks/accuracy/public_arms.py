@@ -288,10 +288,7 @@ def table(root: Path) -> list[str]:
 
 def main(folder: str, *options: str) -> None:
     """Print the table; write it where that is asked for."""
-    lines = table(Path(folder).resolve())
-    print("\n".join(lines))
-    if "--write" in options:
-        TABLE.write(lines)
+    TABLE.show(table(Path(folder).resolve()), "--write" in options)
 
 
 if __name__ == "__main__":

@@ -408,9 +408,7 @@ def main(*options: str) -> None:
         with tempfile.TemporaryDirectory() as folder:
             columns.append(column(case, Path(folder)))
         print(case.title, columns[-1], file=sys.stderr)
-    print("\n".join(table(columns)))
-    if "--write" in options:
-        TABLE.write(table(columns))
+    TABLE.show(table(columns), "--write" in options)
 
 
 if __name__ == "__main__":

@@ -297,9 +297,7 @@ def main() -> int:
     lines = [*alarm_lines(found)]
     lines += ["", f"`identify` of {answers_line(found)}."] if options.answers else []
     lines += ["", *public] if public else []
-    print("\n".join(lines))
-    if options.write:
-        TABLE.write(lines)
+    TABLE.show(lines, options.write)
     return 0
 
 

@@ -36,6 +36,12 @@ class PageTable:
         text = self.page.read_text(encoding="utf-8")
         return text.partition(self.begin)[2].partition(self.end)[0]
 
+    def show(self, lines: Sequence[str], is_written: bool) -> None:
+        """Print lines, and put them between the marks where that is asked for."""
+        print("\n".join(lines))
+        if is_written:
+            self.write(lines)
+
     def write(self, lines: Sequence[str]) -> None:
         """Put lines between the marks."""
         text = self.page.read_text(encoding="utf-8")
