@@ -19,7 +19,7 @@ from robot_sysid.records import Recording
 
 START_NS = 1_700_000_000 * 10**9
 """Time at which recordings begin [ns since 1970]."""
-_LATENCY_NS = 400_000
+LATENCY_NS = 400_000
 """Time from a message's stamp until it was recorded [ns]."""
 INTERFACES = ("position", "velocity", "effort")
 ORDERS = ([2, 0, 1], [1, 0, 2], [2, 0, 1])
@@ -110,7 +110,7 @@ def _written(path: Path, writer, topics, store, serialize) -> Path:
                 received = 10**9 + count * 10**6
                 if isinstance(message, tuple):
                     time, message = message
-                    received = START_NS + round(1e9 * time) + _LATENCY_NS
+                    received = START_NS + round(1e9 * time) + LATENCY_NS
                 writer.write(connection, received, serialize(message, message_type))
     return path
 

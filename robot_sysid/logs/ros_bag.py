@@ -8,7 +8,8 @@ where that is empty the time at which the message was recorded.
 Drivers publish one arm more than once: ros2_control's broadcaster in /joint_states and
 /dynamic_joint_states, Franka's launch file at 1 kHz and once more, with the fingers, at 30 Hz. The
 topic with torques and with the most samples is read. Topics whose names are those of two arms are
-not chosen from.
+not chosen from. Where no topic of joints has torques, an array that is called so, with a number per
+joint, has them.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +37,9 @@ from robot_sysid.logs.ros_messages import (
     READERS,
     TORQUE,
     Key,
+    Readers,
     Sample,
+    read_array,
     read_stamp,
 )
 from robot_sysid.logs.table import (
@@ -180,12 +183,12 @@ def bag_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> Lo
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
         torque_topics = [t for t in topics if t.has_torque_alone]
-        if (
-            max(topic.rank for topic in topics) == POSITIONS_ALONE
-            and len(torque_topics) == 1
-        ):
+        if max(topic.rank for topic in topics) == POSITIONS_ALONE:
             positions = [t for t in topics if t.rank == POSITIONS_ALONE]
-            topics = [_with_torques(topic, torque_topics[0]) for topic in positions]
+            if not torque_topics and _are_in_order(positions, joint_names):
+                torque_topics = [*_array_topics(path, bag, joint_names)]
+            if len(torque_topics) == 1:
+                topics = [_with_torques(topic, torque_topics[0]) for topic in positions]
         topic, note = choose_topic(
             path, topics, partial(_arrays_of, bag, len(joint_names))
         )
@@ -212,9 +215,24 @@ def _with_torques(position: Topic, torque: Topic) -> Topic:
     return replace(position, table=table, rank=(True, *torque.rank[1:]))
 
 
-def _arrays_of(bag: Any, least: int) -> list[str]:
-    """Return a description of the topics of other messages that hold as many numbers, or more."""
-    described = []
+class ArrayField(NamedTuple):
+    """An array of numbers in the messages of a topic that is none of joints.
+
+    Attributes:
+        topic, message_type, n_messages: of the topic.
+        name: of the field.
+        size: of the array in the first message.
+    """
+
+    topic: str
+    message_type: str
+    n_messages: int
+    name: str
+    size: int
+
+
+def _array_fields(bag: Any) -> Iterator[ArrayField]:
+    """Yield the arrays of numbers in messages that are not read, of topics without commands."""
     for connection in bag.connections:
         message_type = connection.msgtype
         is_known = message_type in bag.typestore.fielddefs
@@ -224,19 +242,51 @@ def _arrays_of(bag: Any, least: int) -> list[str]:
         _, _, raw = next(bag.messages(connections=[connection]), (None, None, None))
         if raw is None:
             continue
-        sizes = {
-            name: np.size(value)
-            for name, value in vars(bag.deserialize(raw, message_type)).items()
-            if np.asarray(value).dtype.kind == "f" and np.size(value) >= least
-        }
-        if sizes:
-            listed = ", ".join(
-                f"{size} numbers in {name}" for name, size in sizes.items()
+        topic = connection.topic, message_type, connection.msgcount
+        for name, value in vars(bag.deserialize(raw, message_type)).items():
+            if np.asarray(value).dtype.kind == "f":
+                yield ArrayField(*topic, name, int(np.size(value)))
+
+
+def _arrays_of(bag: Any, least: int) -> list[str]:
+    """Return a description of the topics of other messages that hold as many numbers, or more."""
+    sizes: dict[tuple[str, str, int], list[str]] = {}
+    for field in _array_fields(bag):
+        if field.size >= least:
+            text = f"{field.size} numbers in {field.name}"
+            sizes.setdefault(field[:3], []).append(text)
+    return [
+        f"{topic} ({message_type}: {', '.join(texts)}, {n_messages} messages)"
+        for (topic, message_type, n_messages), texts in sizes.items()
+    ]
+
+
+def _are_in_order(topics: Sequence[Topic], joint_names: Sequence[str]) -> bool:
+    """Return whether all topics of positions list the arm's joints from base to terminal.
+
+    Then an array without names has the same order.
+    """
+    for topic in topics:
+        titles = [title.rpartition(" ") for title in topic.table.titles]
+        names = [name for name, _, quantity in titles if quantity == "position"]
+        matched = match_joint_names(names, joint_names)
+        if [matched[name] for name in names if name in matched] != [*joint_names]:
+            return False
+    return True
+
+
+def _array_topics(path: Path, bag: Any, joint_names: Sequence[str]) -> Iterator[Topic]:
+    """Yield the topics whose messages have one array that is called torque, a number per joint."""
+    for field in _array_fields(bag):
+        title = read_title(f"{field.topic.replace('/', ' ')} {field.name}")
+        if title.likely_quantity != "torque" or field.size != len(joint_names):
+            continue
+        readers = {field.message_type: partial(read_array, field.name, joint_names)}
+        for topic in _read_topic(path, bag, field.topic, joint_names, readers):
+            note = (
+                f"torques are the numbers of {field.name} in {field.topic}, base first"
             )
-            described.append(
-                f"{connection.topic} ({message_type}: {listed}, {connection.msgcount} messages)"
-            )
-    return described
+            yield replace(topic, table=replace(topic.table, notes=(note,)))
 
 
 def _joint_topics(bag: Any) -> tuple[set[str], set[str]]:
@@ -257,22 +307,26 @@ def _joint_topics(bag: Any) -> tuple[set[str], set[str]]:
     return names, described
 
 
-def _connections(bag: Any, topic: str) -> list[Any]:
+def _connections(bag: Any, topic: str, readers: Readers = READERS) -> list[Any]:
     """Return the connections of a bag through which joints of a topic were recorded, one per
     publisher; messages of other types may share its name.
     """
-    return [c for c in bag.connections if c.topic == topic and c.msgtype in READERS]
+    return [c for c in bag.connections if c.topic == topic and c.msgtype in readers]
 
 
 def _read_topic(
-    path: Path, bag: Any, name: str, joint_names: Sequence[str]
+    path: Path,
+    bag: Any,
+    name: str,
+    joint_names: Sequence[str],
+    readers: Readers = READERS,
 ) -> Iterator[Topic]:
     """Yield a topic with its table, which has time and a column per joint and quantity.
 
     Joints and quantities are those of its first messages; nothing is yielded where these hold none.
     """
     # A second or more, in which each publisher of the topic has sent one.
-    messages = list(islice(_read_messages(bag, name), 200))
+    messages = list(islice(_read_messages(bag, name, readers), 200))
     # A dictionary keeps the keys in the order in which they come first.
     sent: dict[Key, float] = {}
     for _, sample in messages:
@@ -298,11 +352,11 @@ def _read_topic(
         )
     else:
         arm_keys.clear()
-    connections = _connections(bag, name)
+    connections = _connections(bag, name, readers)
     message_type = connections[0].msgtype
     n_messages = sum(connection.msgcount for connection in connections)
     start = min(stamp for stamp, _ in messages)
-    read = partial(_read_chunks, path, name, list(sent), start, arm_keys)
+    read = partial(_read_chunks, path, name, list(sent), start, arm_keys, readers)
     titles = ["time", *map(" ".join, sent)]
     table = make_table(
         path,
@@ -318,7 +372,12 @@ def _read_topic(
 
 
 def _read_chunks(
-    path: Path, topic: str, keys: Sequence[Key], start: int, arm_keys: Set[Key]
+    path: Path,
+    topic: str,
+    keys: Sequence[Key],
+    start: int,
+    arm_keys: Set[Key],
+    readers: Readers,
 ) -> Iterator[Chunk]:
     """Yield the samples of a topic in chunks: time from the start [s], and the numbers of ``keys``.
 
@@ -328,9 +387,10 @@ def _read_chunks(
         keys: of the numbers of a sample.
         start: stamp at which time is zero [ns since 1970].
         arm_keys: without which a sample is left empty.
+        readers: of its messages.
     """
     with _open_bag(path) as bag:
-        messages = _read_messages(bag, topic)
+        messages = _read_messages(bag, topic, readers)
         while chunk := list(islice(messages, ROWS)):
             rows = []
             for stamp, sample in chunk:
@@ -340,13 +400,13 @@ def _read_chunks(
             yield [np.array(rows)]
 
 
-def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
+def _read_messages(bag: Any, topic: str, readers: Readers) -> Iterator[Message]:
     """Yield the messages of a topic in the order in which they were recorded."""
-    connections = _connections(bag, topic)
+    connections = _connections(bag, topic, readers)
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         stamp = read_stamp(message) or int(received)
-        yield stamp, READERS[connection.msgtype](message)
+        yield stamp, readers[connection.msgtype](message)
 
 
 @contextlib.contextmanager

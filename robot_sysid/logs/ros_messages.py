@@ -110,7 +110,14 @@ def _read_kortex_feedback(message: Any) -> Sample:
     )
 
 
-READERS: Mapping[str, Callable[[Any], Sample]] = {
+def read_array(field: str, joint_names: Sequence[str], message: Any) -> Sample:
+    """Return the numbers of an array of torques, one per joint, base first."""
+    return _joint_sample(joint_names, effort=np.asarray(getattr(message, field), float))
+
+
+Readers = Mapping[str, Callable[[Any], Sample]]
+"""Message type to the function that returns the numbers of a message."""
+READERS: Readers = {
     STATE: _read_joint_state,
     FRANKA: lambda message: _read_joint_state(message.measured_joint_state),
     LBR: _read_lbr_state,

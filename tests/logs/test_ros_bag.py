@@ -7,6 +7,7 @@ import sqlite3
 from itertools import chain
 
 import numpy as np
+import pytest
 
 from rigs.files.model_files import make_pipe
 from rigs.logs import recorded
@@ -149,18 +150,66 @@ def test_torques_of_another_topic_are_joined_by_time(tmp_path):
     assert_refused("no effort of the arm's joints; let the driver", path)
 
 
-def test_torques_in_another_message_are_named_with_their_size(tmp_path):
+def timed_arrays(types):
+    """Arrays, and when they were sent."""
+    yield from zip(DATA.time, arrays_of_torques(types))
+
+
+def reversed_states(types):
+    """Positions, the tip's first."""
+    for time, q in zip(DATA.time, DATA.q):
+        yield recorded.joint_state(
+            types, time, JOINTS[::-1], q[::-1].copy(), None, None
+        )
+
+
+ARRAYS = "std_msgs/msg/Float64MultiArray"
+
+
+def test_torques_in_an_array_are_read_where_it_is_called_so(tmp_path):
     topics = [
         ("/joint_states", recorded.STATE, states_of("position")),
-        ("/torques", "std_msgs/msg/Float64MultiArray", arrays_of_torques),
-        ("/commands", "std_msgs/msg/Float64MultiArray", arrays_of_torques),
+        ("/joint_torques", ARRAYS, timed_arrays),
+        ("/temperatures", ARRAYS, timed_arrays),
+        ("/commands", ARRAYS, timed_arrays),
+    ]
+    path = recorded.write_bag(tmp_path / "bag", topics)
+    log = read_measurements(path, JOINTS)
+    np.testing.assert_allclose(log.q, DATA.q[1:], atol=1e-9)
+    # An array has no stamp of its own, and arrives a while after.
+    sent = DATA.time[1:] - recorded.LATENCY_NS * 1e-9
+    for k in range(3):
+        expected = np.interp(sent, DATA.time, DATA.tau[:, k])
+        np.testing.assert_allclose(log.tau[:, k], expected, atol=1e-3)
+    assert "torques are the numbers of data in /joint_torques, base first" in notes_of(
+        log
+    )
+
+
+@pytest.mark.parametrize(
+    ("states", "arrays"),
+    [
+        # Its order could be another one, it is called nothing, or there are two.
+        (reversed_states, {"/joint_torques": timed_arrays}),
+        (states_of("position"), {"/numbers": timed_arrays}),
+        (
+            states_of("position"),
+            {"/joint_torques": timed_arrays, "/efforts": timed_arrays},
+        ),
+    ],
+)
+def test_torques_in_another_message_are_named_with_their_size(states, arrays, tmp_path):
+    topics = [
+        ("/joint_states", recorded.STATE, states),
+        *((name, ARRAYS, messages) for name, messages in arrays.items()),
+        ("/commands", ARRAYS, timed_arrays),
         ("/remarks", "std_msgs/msg/String", remarks),
     ]
     path = recorded.write_bag(tmp_path / "bag", topics)
-    message = assert_refused(
-        "torques may be in /torques .*: 3 numbers in data, 60 messages", path
-    )
+    message = assert_refused("has no effort of the arm's joints", path)
     assert "/commands" not in message
+    for name in arrays:
+        assert f"{name} ({ARRAYS}: 3 numbers in data, 60 messages)" in message
 
 
 def test_messages_of_another_type_on_the_topic_are_left_alone(tmp_path):
