@@ -110,8 +110,13 @@ def steps_to_next(links: Sequence[ArmLink]) -> Array:
 def link_sizes(links: Sequence[ArmLink]) -> Array:
     """Return the sizes (n,) of links by the distances between their joints [m]."""
     lengths = np.linalg.norm(steps_to_next(links), axis=1)
-    least = max(LEAST_SIZE_SHARE * float(np.sum(lengths)), LEAST_SIZE)
-    return np.maximum(lengths, least)
+    return np.maximum(lengths, least_size(links))
+
+
+def least_size(links: Sequence[ArmLink]) -> float:
+    """Return the size that no link of an arm is smaller than [m]."""
+    lengths = np.linalg.norm(steps_to_next(links), axis=1)
+    return max(LEAST_SIZE_SHARE * float(np.sum(lengths)), LEAST_SIZE)
 
 
 def copied_kinds(links: Sequence[ArmLink]) -> dict[int, set[str]]:

@@ -13,7 +13,7 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -29,6 +29,7 @@ from robot_sysid.model.stated import (
     MASS,
     Shape,
     copied_kinds,
+    least_size,
     link_sizes,
     shape_of,
     steps_to_next,
@@ -42,7 +43,7 @@ from robot_sysid.model.units import (
     mass_unit,
     stated_bodies,
 )
-from robot_sysid.records import KINDS, Array, RobotModel, SubtreeBody
+from robot_sysid.records import KINDS, ArmLink, Array, RobotModel, SubtreeBody
 from robot_sysid.spatial import ROD_MOMENT
 from robot_sysid.wording import option_name
 
@@ -232,20 +233,19 @@ def _bodies_of_links(
     Args:
         robot: the arm.
         masses: index of a link to its mass [kg], which its bodies share by the volume of their
-            shapes; without any, the first one is a rod to the next joint.
+            shapes; without any, the first one is a rod (``_rods``).
         shapes: of bodies, by their ids.
     """
     mj_model = robot.mj_model
-    steps = steps_to_next(robot.links)
-    sizes = link_sizes(robot.links)
+    rods = _rods(robot.links)
     thetas = {}
     for index, mass in masses.items():
         link = robot.links[index]
-        size = float(sizes[index])
+        size = rods[index].length
         own = {b.body_id: shapes[b.body_id] for b in link.bodies if b.body_id in shapes}
         if not own:
             gyration = ROD_MOMENT * size**2 * np.eye(3)
-            own = {link.body_id: Shape(1.0, 0.5 * steps[index], gyration)}
+            own = {link.body_id: Shape(1.0, rods[index].centre, gyration)}
         volume = sum(shape.volume for shape in own.values())
         for body in link.bodies:
             if body.body_id not in own:
@@ -261,3 +261,34 @@ def _bodies_of_links(
             inertia = body_mass * shape.gyration
             thetas[body.body_id] = spatial.theta_from_com(body_mass, centre, inertia)
     return thetas
+
+
+@dataclass(frozen=True)
+class _Rod:
+    """A rod that stands for a link without shapes.
+
+    Attributes:
+        centre: (3,) its middle in the link's frame [m].
+        length: [m].
+    """
+
+    centre: Array
+    length: float
+
+
+def _rods(links: Sequence[ArmLink]) -> list[_Rod]:
+    """Return a rod for each link: to the next joint, from anywhere on its own joint's axis.
+
+    A joint's frame may lie anywhere on its axis, and often lies where that crosses the next one:
+    the forearm of a FR3 is all before the frame of its link. So the rod begins where the axis
+    leaves the link before it. What carries the first joint may be a table, and is no part of it.
+    """
+    rods = []
+    least = least_size(links)
+    for number, (link, step) in enumerate(zip(links, steps_to_next(links))):
+        way_here = link.rotation.T @ link.translation
+        axis = link.screw[:3]
+        begin = -(axis @ way_here) * axis if number else np.zeros(3)
+        length = max(float(np.linalg.norm(step - begin)), least)
+        rods.append(_Rod(0.5 * (begin + step), length))
+    return rods

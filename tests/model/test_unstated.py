@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,27 @@ def test_bodies_of_the_geometry_stand_for_the_links(tmp_path, inertial, shape):
     assert f"{robot.mass:.3g} kg" in note
     assert "--total-mass KG" in note
     assert not any("was given" in note for note in robot.notes)
+
+
+@pytest.mark.parametrize("slid", [-0.4, -0.2, 0.1])
+def test_where_on_its_axis_a_joint_has_its_frame_moves_no_rod(tmp_path, slid):
+    """The forearm of many arms lies before the frame of its link, which is in the wrist."""
+    path = arm(tmp_path)
+    rod = load_robot_model(path).links[2]
+    text = path.read_text()
+    _, third, fourth = re.findall(r'<joint name="l.*?</joint>', text)
+    # The third link's frame is turned by 0.1 about x, and slid along its own z axis.
+    y, z = -slid * np.sin(0.1), 0.2 + slid * np.cos(0.1)
+    text = text.replace(third, third.replace("0 0 0.2", f"0 {y} {z}"))
+    text = text.replace(fourth, fourth.replace("0 0 0.2", f"0 0 {0.2 - slid}"))
+    path.write_text(text)
+    moved = load_robot_model(path).links[2]
+    _, centre, inertia = spatial.com_from_theta(rod.theta / rod.theta[0])
+    _, moved_centre, moved_inertia = spatial.com_from_theta(
+        moved.theta / moved.theta[0]
+    )
+    assert moved_centre + [0.0, 0.0, slid] == pytest.approx(centre)
+    assert moved_inertia == pytest.approx(inertia)
 
 
 def test_what_the_file_states_is_kept_for_its_writer(tmp_path):
