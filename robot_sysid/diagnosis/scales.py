@@ -43,7 +43,7 @@ from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.offers import Effect
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
-from robot_sysid.model.stated import MASS
+from robot_sysid.model.stated import CENTRE, MASS
 from robot_sysid.model.units import mass_unit
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
@@ -68,6 +68,8 @@ UNITS = {
     1e-3: "kN·m",
 }
 """One newton metre in other units of torque, to the unit's name."""
+STATED_WEIGHT = 0.5
+"""Share of the links' weight about their joints that a model has to state for a factor on it."""
 NEAR_UNIT = 1.25
 """Factor between a scale and that of its unit which masses that are a little off make."""
 MOST_MASSES = 5.0
@@ -451,8 +453,8 @@ def common_finding(
         # The known mass says how far off each joint's is.
         options = (torque_scale(factor * evidence.divided),)
         command = "payload"
-    elif not states_masses(robot):
-        return bodies_without_masses(text)
+    elif unstated := unstated_weight(robot):
+        return weight_of_geometry(text, unstated)
     else:
         name = FaultName.TORQUE_SCALE
         masses = f"{factor * robot.mass_scale:.4g}{stated_error(relative_error)}"
@@ -473,22 +475,35 @@ def common_finding(
     )
 
 
-def states_masses(robot: RobotModel) -> bool:
-    """Return whether the model states the mass of any link."""
-    return any(MASS not in link.placeholders for link in robot.links)
+def unstated_weight(robot: RobotModel) -> str:
+    """Return what of most of the links' weight a model does not state; "" where it states that.
+
+    Weight about joints is mass times distance. Bodies of the links' geometry have it where the
+    model has placeholders, and may be twice as far from their joints as these.
+    """
+    if all(MASS in link.placeholders for link in robot.links):
+        return "masses"
+    weights = np.array([np.linalg.norm(link.reference[1:4]) for link in robot.links])
+    is_stated = [not {MASS, CENTRE} & {*link.placeholders} for link in robot.links]
+    is_most = np.sum(weights[is_stated]) > STATED_WEIGHT * np.sum(weights)
+    return "" if is_most or not np.any(weights) else "centres of mass"
 
 
-def bodies_without_masses(text: str) -> Finding:
-    """Return the finding on a factor between torques and masses that a model does not state.
+def weight_of_geometry(text: str, unstated: str) -> Finding:
+    """Return the finding on a factor between torques and a weight that a model does not state.
 
     Only the torques are known then, and the links, each with an error as large as itself, follow
     them. A factor on either would make one of them wrong.
+
+    Args:
+        text: on the factor.
+        unstated: as from ``unstated_weight``.
     """
     return Finding(
         Level.SAYS,
         FaultName.TORQUE_SCALE,
-        f"{text}, which it does not state: links are as heavy as the torques say, which are taken "
-        "to be N·m",
+        f"{text}; the model does not state the {unstated} of most links, which are as heavy about "
+        "their joints as the torques say, and these are taken to be N·m",
         "compare the result with a mass that is known, of the arm or of a weight on its flange",
         is_common_factor=True,
     )

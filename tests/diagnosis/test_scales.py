@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from rigs.arms.small_arms import robot_of, serial_arm
-from robot_sysid.diagnosis.scales import TorqueScales
+from robot_sysid.diagnosis.column_search import Evidence
+from robot_sysid.diagnosis.scales import TorqueScales, common_finding
+from robot_sysid.records import KINDS
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import parse_factors
 from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, found_in
@@ -91,3 +93,27 @@ def test_no_factor_on_masses_that_a_model_does_not_state(four_joints):
     log = replace(four_joints.log, tau=2.5 * four_joints.log.tau)
     found = findings_of(robot, log)
     assert all(each.level is Level.SAYS and each.options == () for each in found)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "level"),
+    [
+        ((), Level.REFUSES),
+        (("inertia",), Level.REFUSES),
+        (("centre of mass",), Level.SAYS),
+        (KINDS, Level.SAYS),
+    ],
+    ids=["all stated", "inertias", "centres", "masses"],
+)
+def test_a_factor_on_weight_that_is_not_stated_refuses_nothing(
+    four_joints, kinds, level
+):
+    """Twice as far from the joint is what a body of the geometry may be."""
+    robot = four_joints.robot
+    # The last link states it all, as one without a way to a next joint does.
+    links = [replace(link, placeholders=kinds) for link in robot.links[:-1]]
+    robot = replace(robot, links=(*links, robot.links[-1]))
+    found = common_finding(robot, 1.99, 0.1, Evidence(np.ones(4), None, lambda: None))
+    assert found.level is level
+    assert bool(found.options) == (level is Level.REFUSES)
+    assert found.is_common_factor
