@@ -204,7 +204,8 @@ def _compile(
         try:
             notes = make_compilable(document)
             inertias = link_inertias(document)
-        except (ValueError, TypeError) as error:
+        # Of a nan there are no eigenvalues; older NumPy has an error of its own for that.
+        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
             _refuse_stated_nan(document)
             raise ModelError(
                 f"{document.path}: a number cannot be read: {error}"
