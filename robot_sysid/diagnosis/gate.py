@@ -137,7 +137,7 @@ def judge(
         return Judged(tuple(logs), in_order(found), notes, None)
     fitted = solve_question(robot, recordings, question, progress, fault_columns)
     most = float(np.max(fitted.sums.row_counts))
-    found += few_findings(most, duration(pieces), recordings[0].cutoff)
+    found += few_findings(most, duration(pieces), mean_cutoff(pieces, recordings))
     if refusals(found):
         return Judged(tuple(logs), in_order(found), notes, None)
     usual = replace(
@@ -291,7 +291,7 @@ def enough_findings(
 
     A low-pass of f [Hz], as of the recordings, leaves 2 f independent samples per second.
     """
-    cutoff = recordings[0].cutoff
+    cutoff = mean_cutoff(pieces, recordings)
     span = duration(pieces)
     rate = 1.0 / sampling_period(pieces[0].time)
     if rate < LEAST_RATE:
@@ -302,13 +302,22 @@ def enough_findings(
     yield from few_findings(2.0 * cutoff * span, span, cutoff)
 
 
+def mean_cutoff(
+    pieces: Sequence[Recording], recordings: Sequence[FilteredRecording]
+) -> float:
+    """Return the mean cut-off [Hz] over the time of pieces of logs, low-passed as recordings."""
+    spans = [duration([piece]) for piece in pieces]
+    cutoffs = [recording.cutoff for recording in recordings]
+    return float(np.average(cutoffs, weights=spans))
+
+
 def few_findings(rows: float, span: float, cutoff: float) -> Iterator[Finding]:
     """Yield a finding where logs hold too few independent samples of every joint.
 
     Args:
         rows: how many of one joint, at most.
         span: of the logs [s].
-        cutoff: of the low-pass [Hz].
+        cutoff: of their low-passes [Hz].
     """
     if rows < LEAST_ROWS:
         text = (

@@ -144,9 +144,9 @@ def _result(
         origin: where its recordings come from.
         notes: what reading and judging them had to say, one sentence each.
         progress: receives stages.
-        tests: logs that only test the result; they get the cut-off of the others.
+        tests: logs that only test the result; they get the lowest cut-off of the others.
     """
-    cutoff = fitted.recordings[0].cutoff
+    cutoff = min(recording.cutoff for recording in fitted.recordings)
     progress.stage(Detail("Fitting the model file..."))
     file = fit_file(fitted)
     robot = fitted.arm.robot

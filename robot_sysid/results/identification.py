@@ -189,7 +189,7 @@ def result_of(
         curves=tuple(curves),
         tops={owner: fitted.arm.top_of(owner) for owner in fitted.arm.owners},
         friction_model="-".join(fitted.question.friction) or "none",
-        cutoff=fitted.recordings[0].cutoff,
+        cutoff=min(recording.cutoff for recording in fitted.recordings),
         link_scales=asdict(fitted.question.link_scales),
     )
 

@@ -219,7 +219,7 @@ class Identification:
         validation: errors of the fit in predicting torques: of held-out stretches of its logs
             first, then of other logs.
         friction_model: name of the friction model, or "per joint".
-        cutoff: cut-off of the low-pass [Hz]; None of a simulation.
+        cutoff: lowest cut-off of the logs' low-passes [Hz]; None of a simulation.
         link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
             standard deviation of the other links was widened.
         checkpoints: motion on which a written model has to reproduce the predicted torque.

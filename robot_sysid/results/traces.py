@@ -65,7 +65,7 @@ def _with_signals(traces: Traces, number: Callable[..., Any]) -> Traces:
 def traces_of(fitted: Fit, every_sample: bool = True) -> Traces:
     """Return the measured torques, and the predictions of a fit and of the given model.
 
-    All of them are low-passed with the cut-off of the fit. Both predictions contain the estimated
+    All of them are low-passed as their log is in the fit. Both predictions contain the estimated
     offsets of the torque sensors. With a payload, the second prediction is that of the fit without
     the payload.
 

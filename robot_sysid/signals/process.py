@@ -1,7 +1,7 @@
 """Process a measured log into the signals from which regressors are computed.
 
 1. a uniform time grid (``resampling``);
-2. one cut-off for everything, chosen from the data (``cutoff``);
+2. one cut-off for everything of a log, chosen from the data (``cutoff``);
 3. positions are low-passed and differentiated (``filters``), those without noise differentiated as
    they are; velocity columns of the log are not
    used: a drive filters and delays them in its own way;
@@ -460,12 +460,16 @@ def check_losses(recordings: Sequence[FilteredRecording]) -> None:
 def low_pass_recordings(
     robot: RobotModel, recordings: Sequence[Recording], cutoff: float | None = None
 ) -> tuple[list[FilteredRecording], tuple[str, ...]]:
-    """Resample every recording to a uniform grid and low-pass it, all with the same cut-off.
+    """Resample every recording to a uniform grid and low-pass it, each log with its own cut-off.
+
+    A slow motion asks for a low one, behind which a fast one would lose what it tells of rotors:
+    with one for both, a slow log beside a fast one made the file of seven of eight drawn arms
+    worse than the fast one alone.
 
     Args:
         robot: the arm with its model.
         recordings: without long holes; those of one name are stretches of one log.
-        cutoff: of the low-pass [Hz]; None for the lowest that any of them requires.
+        cutoff: of the low-pass of all [Hz]; None for the lowest that any stretch of a log requires.
 
     Returns:
         (filtered recordings, one for each; notes on them, one sentence each).
@@ -475,19 +479,20 @@ def low_pass_recordings(
     """
     resampled = []
     choices = []
+    cutoffs: dict[str, float] = {}
     for recording in recordings:
         with prefix_input_errors(recording.name):
             uniform = resample_uniformly(recording)
-            choices.append(
-                choose_cutoff(uniform.q, 1.0 / sampling_period(uniform.time))
-            )
+            choice = choose_cutoff(uniform.q, 1.0 / sampling_period(uniform.time))
         resampled.append(uniform)
-    lowest = min(choice.cutoff for choice in choices)
+        choices.append(choice)
+        lowest = min(choice.cutoff, cutoffs.get(uniform.name, np.inf))
+        cutoffs[uniform.name] = cutoff or lowest
     logs: defaultdict[str, list[FilteredRecording]] = defaultdict(list)
     filtered = []
     for uniform, choice in zip(resampled, choices):
-        if cutoff is not None or choice.cutoff > lowest:
-            choice = choice._replace(cutoff=cutoff or lowest, expected_error=0.0)
+        if cutoff is not None or choice.cutoff > cutoffs[uniform.name]:
+            choice = choice._replace(cutoff=cutoffs[uniform.name], expected_error=0.0)
         with prefix_input_errors(uniform.name):
             filtered.append(low_pass_uniform(uniform, choice, robot))
         logs[uniform.name].append(filtered[-1])

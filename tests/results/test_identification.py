@@ -40,14 +40,16 @@ def result(fits):
     return link_result(*fits, (), ORIGIN)
 
 
-def test_all_logs_pass_the_lowest_cutoff_that_one_requires(plant, robot, noisy):
+def test_no_log_takes_from_another_what_that_shows(plant, robot, noisy):
+    """One of coarse positions asks for a low cut-off, and has it alone; its pieces share it."""
     coarse = log_of(plant, encoder_resolution=3e-3)
-    cutoffs = []
-    for logs in ([noisy], [coarse], [noisy, coarse]):
-        recordings = filter_logs(robot, *logs, cutoff=None)
-        cutoffs += [recording.cutoff for recording in recordings]
-    fine_cutoff, coarse_cutoff, *common_cutoffs = cutoffs
-    assert common_cutoffs == [coarse_cutoff] * 2 and coarse_cutoff < fine_cutoff
+    (alone,) = filter_logs(robot, noisy, cutoff=None)
+    fine, low, again = filter_logs(robot, noisy, coarse, coarse, cutoff=None)
+    assert fine.cutoff == alone.cutoff
+    np.testing.assert_array_equal(fine.q, alone.q)
+    assert low.cutoff == again.cutoff < fine.cutoff
+    given = filter_logs(robot, noisy, coarse, cutoff=5.0)
+    assert [recording.cutoff for recording in given] == [5.0, 5.0]
 
 
 def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
