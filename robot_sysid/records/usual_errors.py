@@ -7,6 +7,8 @@ read it. All are standard deviations unless a line says otherwise; users replace
 
 from __future__ import annotations
 
+import math
+
 # ---- links
 
 LINK = 5.0
@@ -176,6 +178,8 @@ SERVO_BANDWIDTH = 20.0
 SERVO_NUMBERS = 1.0
 """Gain, damping, friction and rotor inertia of a servo that is too fast for the samples, over the
 model's: standard deviation of the logarithms."""
+SERVO_PLAY = math.radians(0.5)
+"""Dead zone of a servo where none is seen [rad]: the play that the makers of an SO-101 state."""
 SERVO_FRICTION = 2.0
 """Relative error of the dry friction that such a servo hides."""
 

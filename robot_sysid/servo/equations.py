@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
+from robot_sysid.dynamics.friction import COULOMB, ROTOR, TERMS, VISCOUS
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.fit import solve
 from robot_sysid.estimate.links import EXPECTED, link_factor
@@ -50,6 +50,10 @@ LINK_SHARE = 0.01 * usual_errors.LINK
 """Relative standard deviation of links, as ``link_factor`` takes it."""
 LINK_ERROR = LINK_SHARE * EXPECTED.mass
 """Relative standard deviation of the links' masses."""
+FADING = tuple(term for term in TERMS.values() if term.prior == usual_errors.FADING)
+"""Terms of friction that fades with speed, of which no file knows."""
+FADING_SHARE = 0.01 * usual_errors.LOAD_LOSS * usual_errors.FADING
+"""Standard deviation of each, over the dry friction of its joint."""
 N_VALUES = 4
 """Number of terms of a joint."""
 N_SEARCHED = 2
@@ -62,6 +66,9 @@ SLOWEST = 0.1
 NEAREST_SHARE = 0.6
 """Share of the samples that are fitted first, those nearest to their commands: far from them a
 servo reaches its torque limit."""
+LEAST_SLOW_SHARE = 0.05
+"""Share of slower samples in the low-pass from which a row shows no torque limit and no dead zone:
+a joint that sticks gives friction of any size, which looks like play."""
 OUTLIER = 5.0
 """Residual over the noise beyond which a sample is left out."""
 TRIMMINGS = 4
@@ -82,6 +89,8 @@ DELAY_CHANGE = 0.002
 """Change of the delay from which the equations have another derivative [s]."""
 DELAY_DIGITS = 1e-5
 """Accuracy of the search for the delay [s]."""
+NORMAL_MEDIAN = 1.0 / 0.6745
+"""Standard deviation of normal errors over the median of their sizes."""
 
 # ---- torque limits and dead zones
 
@@ -104,17 +113,21 @@ DEAD_ZONE_DIGITS = 1e-5
 """Accuracy of the search for a dead zone [rad]."""
 
 
-def loop_columns(robot: RobotModel, pieces: Sequence[Recording]) -> tuple[Array, Array]:
+def loop_columns(
+    robot: RobotModel, pieces: Sequence[Recording]
+) -> tuple[Array, Array, Array]:
     """Return the columns of the equations of an arm's servos, behind the low-pass.
 
-    They are (M, n, p) the links' torque, viscous friction, dry friction and rotor inertia; and (M,
-    n, L) the torque by one standard deviation of each of L link errors [N m].
+    They are (M, n, p) the links' torque, viscous friction, dry friction and rotor inertia; (M, n,
+    L) the torque by one standard deviation of each of L link errors [N m]; and (M, n, 3) friction
+    that fades with speed, over what it is at rest.
     """
     dynamics = LinkDynamics(robot)
     links = list(range(robot.n_joints))
     factor = link_factor(robot, links, LINK_SHARE)
     columns = []
     link_columns = []
+    fading_columns = []
     for piece in pieces:
         q, qd, qdd = low_pass_motion(piece)
         motion = dynamics.motion(q, qd, qdd)
@@ -125,7 +138,10 @@ def loop_columns(robot: RobotModel, pieces: Sequence[Recording]) -> tuple[Array,
             terms.append(term.of_state(direction, qd, qdd, torque, 1.0))
         columns.append(np.stack(terms, axis=-1))
         link_columns.append(motion.columns(links) @ factor)
-    return np.concatenate(columns), np.concatenate(link_columns)
+        fading = [term.of_state(direction, qd, qdd, torque, 1.0) for term in FADING]
+        fading_columns.append(np.stack(fading, axis=-1))
+    joined = np.concatenate(columns), np.concatenate(link_columns)
+    return *joined, np.concatenate(fading_columns)
 
 
 def solve_not_negative(normal: Array, is_free: NDArray[np.bool_]) -> Array:
@@ -146,7 +162,9 @@ def solve_not_negative(normal: Array, is_free: NDArray[np.bool_]) -> Array:
     return zero
 
 
-def fit_joint(rows: Array, prior: Prior, links: Array) -> tuple[Array, Array, float]:
+def fit_joint(
+    rows: Array, prior: Prior, links: Array, fading: Array
+) -> tuple[Array, Array, float]:
     """Return the values (p,) of terms that explain a joint's position error, their covariance with
     what is searched (p + 2, p + 2), and the root mean square of what they leave [rad].
 
@@ -159,6 +177,7 @@ def fit_joint(rows: Array, prior: Prior, links: Array) -> tuple[Array, Array, fl
         prior: of the p values, the delay and the dead zone.
         links: (M, L) torque by one standard deviation of each link error [N m], which the model
             file keeps: none of it is fitted, all of it is in the covariance.
+        fading: (M, 3) friction that fades, over what it is at rest: the same holds of it.
     """
     known = prior.rows.T @ prior.rows
     # What is searched is at its best: as columns it makes the others less sure.
@@ -176,10 +195,12 @@ def fit_joint(rows: Array, prior: Prior, links: Array) -> tuple[Array, Array, fl
         normal = known + data.T @ data
         values = solve_not_negative(normal, is_value)
         residual = np.abs(error - rows[:, :-1] @ values)
-        by_links = weight * values[0] * links[is_used]
+        by_links = values[0] * links[is_used]
+        by_fading = FADING_SHARE * values[2] * fading[is_used]
+        by_others = weight * np.hstack((by_links, by_fading))
         is_used = residual <= limit
     _, covariance = solve(normal, prior.mean)
-    spread = covariance @ data[:, :-1].T @ by_links
+    spread = covariance @ data[:, :-1].T @ by_others
     left = rms(np.minimum(residual, limit))
     return values[:N_VALUES], covariance + spread @ spread.T, left
 
@@ -209,9 +230,12 @@ class LoopEquations:
     def __init__(self, robot: RobotModel, pieces: Sequence[Recording]) -> None:
         n = robot.n_joints
         self._pieces = pieces
-        self._columns, self._links = loop_columns(robot, pieces)
+        self._columns, self._links, self._fading = loop_columns(robot, pieces)
         self.speeds = self._columns[:, :, 1]
-        self._is_moving = np.abs(self.speeds) > SLOWEST
+        is_slow = np.abs(self.speeds) <= SLOWEST
+        self._is_moving = ~is_slow
+        slow_share = low_pass_pieces(pieces, is_slow.astype(float))
+        self._shows_shape = self._is_moving & (slow_share < LEAST_SLOW_SHARE)
         self._is_limited = np.zeros_like(self._is_moving)
         self._servo_damping = np.zeros(n)
         self._damping_share = chain_actuators(robot).damping_share
@@ -239,17 +263,51 @@ class LoopEquations:
     def solve_at(self, delay: float) -> float:
         """Solve the equations of all joints with a delay; return how badly they fit [nats]."""
         self.delay = delay
+        joints = np.flatnonzero(self.moves)
+        misfits = self._solve_joints(joints, delay)
+        return float(np.sum(misfits[self.shows_delay[joints]]))
+
+    def _solve_joints(self, joints: NDArray[np.int64], delay: float) -> Array:
+        """Solve the equations of some joints (K,); return how badly each fits (K,) [nats]."""
         distances = raw_distances(self._pieces, delay)
         later = raw_distances(self._pieces, delay + DELAY_CHANGE)
-        misfit = 0.0
-        for k in np.flatnonzero(self.moves).tolist():
+        misfits = []
+        for k in joints.tolist():
             rows = self._rows(k, distances[:, k], later[:, k])
             at = self._is_moving[:, k] & ~self._is_limited[:, k]
-            fit = fit_joint(rows[at], self._prior(k, rows[at]), self._links[at, k])
+            prior = self._prior(k, rows[at])
+            fit = fit_joint(rows[at], prior, self._links[at, k], self._fading[at, k])
             self.values[k], self.covariances[k], left = fit
-            joint_misfit = np.sum(at) / CORRELATED_SAMPLES * np.log(left)
-            misfit += self.shows_delay[k] * joint_misfit
-        return misfit
+            misfits.append(np.sum(at) / CORRELATED_SAMPLES * np.log(left))
+        return np.array(misfits)
+
+    def delay_error(self, shown: NDArray[np.bool_]) -> float:
+        """Return the standard error of the delay by the equations; infinite where none shows it.
+
+        What the terms miss of a joint, such as a dead zone that friction hides, moves the delay
+        that fits it alone. Where these delays differ by more than their errors, so does the error.
+
+        Args:
+            shown: (n,) the joints that the delay is found by.
+        """
+        joints = np.flatnonzero(shown)
+        if not len(joints):
+            return np.inf
+        delay = self.delay
+        variances = self.covariances[joints, N_VALUES, N_VALUES]
+        errors = np.maximum(np.sqrt(variances), DELAY_DIGITS)
+        least = max(delay - GRID, 0.0)
+        own = []
+        for joint in joints[:, None]:
+
+            def misfit(delay: float, joint: NDArray[np.int64] = joint) -> float:
+                """Return how badly the joint's equations fit with a delay."""
+                return float(self._solve_joints(joint, delay)[0])
+
+            own.append(minimum(misfit, least, delay + GRID, DELAY_DIGITS))
+        self.solve_at(delay)
+        spread = NORMAL_MEDIAN * np.median(np.abs(np.array(own) - delay) / errors)
+        return float(np.maximum(spread, 1.0) * np.sum(errors**-2.0) ** -0.5)
 
     def search_delay(self, candidates: Iterable[float] = DELAYS) -> None:
         """Find the delay that fits best, near the best of some candidates."""
@@ -294,19 +352,22 @@ class LoopEquations:
         limits = np.geomspace(least, np.max(asked) + LEAST_NOISE, N_LIMITS)
         limit = min(limits[:-1], key=misfit_of_limit)
         limit_gain = misfit_of_limit(np.inf) - misfit_of_limit(limit)
+        limit_step = misfit_of_limit(last_limit) - misfit_of_limit(limit)
         step = DEAD_ZONES[0]
         nearest = min(DEAD_ZONES, key=misfit_of_dead_zone)
         dead_zone = minimum(
             misfit_of_dead_zone, nearest - step, nearest + step, DEAD_ZONE_DIGITS
         )
         dead_zone_gain = misfit_of_dead_zone(0.0) - misfit_of_dead_zone(dead_zone)
+        last_misfit = misfit_of_dead_zone(last_dead_zone)
+        dead_zone_step = last_misfit - misfit_of_dead_zone(dead_zone)
         if limit_gain < CLEAR:
             self.limits[k] = np.inf
-        elif limit_gain > dead_zone_gain:
+        elif limit_step >= dead_zone_step:
             self.limits[k] = limit
         if dead_zone_gain < CLEAR:
             self.dead_zones[k] = 0.0
-        elif dead_zone_gain > limit_gain:
+        elif dead_zone_step > limit_step:
             self.dead_zones[k] = dead_zone
 
     def leave_out_limited(self) -> None:
@@ -352,9 +413,8 @@ class LoopEquations:
         dead_zone = self.dead_zones[k]
         given = self._given(k, distance, self.limits[k], dead_zone)
         late = (beyond(later, dead_zone) - beyond(distance, dead_zone)) / DELAY_CHANGE
-        # No column where there is no dead zone: it would make friction less sure.
-        gives = (np.abs(distance) > dead_zone) & (dead_zone > 0.0)
-        by_dead_zone = gives * np.sign(distance)
+        # Also where none is found: a small one that friction hides makes friction less sure.
+        by_dead_zone = np.sign(beyond(distance, dead_zone))
         signals = np.column_stack((late, by_dead_zone, given))
         smooth = low_pass_pieces(self._pieces, signals)
         return np.column_stack((self._columns[:, k], smooth))
@@ -365,6 +425,7 @@ class LoopEquations:
         sizes = np.std(rows, axis=0)
         deviation = sizes[-1] / (sizes[:-1] + LEAST_SIZE)
         deviation[0] = self.gain_error[k] / self.gain[k]
+        deviation[-1] = usual_errors.SERVO_PLAY
         mean = np.zeros_like(deviation)
         mean[0] = 1.0 / self.gain[k]
         return independent(deviation, mean)
@@ -380,7 +441,7 @@ class LoopEquations:
             distance: (M,) from its positions to the commands.
             limit, dead_zone: of the joint's servo.
         """
-        at = self._is_moving[:, k]
+        at = self._shows_shape[:, k]
         signal = self._given(k, distance, limit, dead_zone)
         given = low_pass_pieces(self._pieces, signal)[at]
         terms = self._columns[at, k]

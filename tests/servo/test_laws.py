@@ -49,10 +49,32 @@ def test_true_numbers_are_found_within_their_errors(seed):
     assert abs(fit.delay - servos.delay) < 3.0 * fit.delay_error
 
 
+@pytest.mark.slow
+def test_errors_of_delays_are_as_large_as_stated():
+    """None is far off, and none is so near all the time that its ± says nothing."""
+    offs = []
+    for seed in range(20):
+        servos = random_servos(seed)
+        fit = fit_servos(arm(), [log_of(arm(), servos, seed)])
+        offs.append((fit.delay - servos.delay) / fit.delay_error)
+    assert np.max(np.abs(offs)) < 2.5
+    assert 0.5 < np.sqrt(np.mean(np.square(offs))) < 1.1
+
+
+def test_a_delay_on_which_joints_disagree_is_less_sure():
+    """What is missed of a joint moves its own delay: that of the second is 12 ms longer here."""
+    piece = log_of(arm(), random_servos(1))
+    late = piece.command.copy()
+    late[:, 1] = np.interp(piece.time + 0.012, piece.time, piece.command[:, 1])
+    other = Recording(piece.time, piece.q, None, late - piece.q, command=late)
+    sure, unsure = (fit_servos(arm(), [log]).delay_error for log in (piece, other))
+    assert unsure > 5.0 * sure
+
+
 def test_the_equations_hold_of_true_numbers_alone():
     servos = random_servos(1)
     piece = log_of(arm(), servos)
-    columns, _ = loop_columns(arm(), [piece])
+    columns, *_ = loop_columns(arm(), [piece])
     gain, *others = servos.numbers
     values = np.stack((1.0 / gain, *(number / gain for number in others)))
     is_moving = np.abs(columns[:, :, 1]) > 0.3

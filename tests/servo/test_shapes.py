@@ -40,6 +40,21 @@ def test_a_dead_zone_is_found_where_there_is_one(dead_zone):
     assert abs(found.delay - 0.035) < 2.0 * found.delay_error
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_friction_that_sticks_at_each_turn_is_no_dead_zone(seed):
+    """Of a joint that carries no link, it looks like one of 0.4 degrees where it sticks."""
+    truth = ServoParameters(
+        np.array([[16.0], [0.6], [0.3], [0.03]]), 0.035, np.zeros(1)
+    )
+    time, command = sines_and_steps(10.0, seed)
+    command = 1.5 * command[:, :1]
+    pan = robot_of(ARM.replace('axis="0 1 0"', 'axis="0 0 1"').format(limit=""))
+    q = positions(pan, time, command, truth, steps=20)
+    found = fit_servos(pan, [Recording(time, q, None, command - q, command=command)])
+    assert not found.dead_zones.any()
+    assert np.all(np.abs(found.numbers - truth.numbers) < 2.0 * found.errors)
+
+
 def test_moments_at_a_torque_limit_are_left_out():
     """They would make the delay too long and the damping too small."""
     found = fit(limit=' forcerange="-2 2"')
