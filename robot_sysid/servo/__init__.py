@@ -32,11 +32,11 @@ from robot_sysid.results.written_model import write_joints
 from robot_sysid.servo.command_check import check_commands
 from robot_sysid.servo.fit import ServoFit, fit_servos
 from robot_sysid.servo.loop import goal_error, rms
-from robot_sysid.servo.played_fit import refine_by_playing
+from robot_sysid.servo.played_fit import FINE_STEP, refine_by_playing
 from robot_sysid.servo.result import ServoIdentification, servo_lines, servo_notes
 from robot_sysid.servo.windows import WINDOW, ServoProblem
 from robot_sysid.signals.resampling import split_at_gaps
-from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
+from robot_sysid.simulation.playback import STEP, ServoRollouts, servos_in_model
 from robot_sysid.wording import option_setting
 
 HELD_OUT_SHARE = 0.2
@@ -206,15 +206,16 @@ def numbers_to_write(
     kept[:2, without] = found.numbers[:2, without]
     old = replace(found, numbers=kept, dead_zones=0.0 * found.dead_zones)
     is_new = found.is_known
+    step = FINE_STEP if np.any(found.is_fast) else STEP
     while True:
         fit = replace(
             found,
             numbers=np.where(is_new, found.numbers, kept),
             dead_zones=np.where(is_new, found.dead_zones, 0.0),
         )
-        before, after, is_worse = test_problem.test(old, fit)
+        before, after, is_worse = test_problem.test(old, fit, step)
         # Rollouts of what was fitted may only become worse where the equations miss something.
-        *_, is_worse_fitted = problem.test(old, fit)
+        *_, is_worse_fitted = problem.test(old, fit, step)
         is_kept = is_new & (is_worse | is_worse_fitted)
         if not np.any(is_kept):
             return fit, is_new, before, after

@@ -88,10 +88,15 @@ class ServoProblem:
         self.times = np.array(times)
         self.measured = np.array(measured)
 
-    def errors(self, servos: ServoParameters) -> Array:
-        """Return played minus measured positions (W, m, n), pi where a rollout has diverged."""
+    def errors(self, servos: ServoParameters, step: float = STEP) -> Array:
+        """Return played minus measured positions (W, m, n), pi where a rollout has diverged.
+
+        Args:
+            servos: the servo parameters.
+            step: time step of the rollouts [s].
+        """
         # Windows over lost samples are longer than others.
-        edges = np.arange(0.0, np.max(self.times) + STEP, STEP)
+        edges = np.arange(0.0, np.max(self.times) + step, step)
         q = self.rollouts.positions(servos, self.windows, edges)
         played = [
             interpolate(times, edges, own_q) for times, own_q in zip(self.times, q)
@@ -99,14 +104,19 @@ class ServoProblem:
         return np.nan_to_num(np.array(played) - self.measured, nan=np.pi)
 
     def test(
-        self, before: ServoParameters, after: ServoParameters
+        self, before: ServoParameters, after: ServoParameters, step: float = STEP
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return what two sets of servo parameters miss.
 
         They are each joint's root mean square errors (n,) before and after, and whether those after
         are clearly larger, window by window (n,).
+
+        Args:
+            before, after: the two sets.
+            step: time step of the rollouts [s].
         """
-        old, new = (np.mean(self.errors(s) ** 2, axis=1) for s in (before, after))
+        both = (self.errors(servos, step) for servos in (before, after))
+        old, new = (np.mean(errors**2, axis=1) for errors in both)
         hidden = HIDDEN**2
         pairs = zip(old.T + hidden, new.T + hidden)
         is_worse = np.array([is_clearly_lower(*pair) for pair in pairs])
