@@ -15,6 +15,8 @@ from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.playback import chain_actuators
 
 TICK = 1e-3
+FADING_SPEED = 0.1
+"""Speed over which friction beyond Coulomb's fades [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,8 @@ class ServoArm:
         servo_damping: (n,) part of the damping that the servo gives.
         delay: delay of the commands [s].
         limit: (n,) largest torque of the servos [N m].
+        dead_zone: (n,) distance from the command within which a servo gives no torque [rad].
+        fading: (n,) friction at rest beyond Coulomb's, as a share of it.
     """
 
     robot: RobotModel
@@ -37,6 +41,8 @@ class ServoArm:
     armature: np.ndarray
     delay: float
     limit: np.ndarray
+    dead_zone: np.ndarray | float = 0.0
+    fading: np.ndarray | float = 0.0
 
     def play(self, time, command):
         """Return positions (N, n) at times (N,) at which commands (N, n) are given, from rest."""
@@ -62,10 +68,14 @@ class ServoArm:
                 at += 1
                 target = command[at]
             for _ in range(2):
-                spring = self.stiffness * (target - arm.q)
+                distance = target - arm.q
+                play = np.clip(distance, -self.dead_zone, self.dead_zone)
+                spring = self.stiffness * (distance - play)
                 asks = spring - self.servo_damping * arm.qd
                 free = np.abs(asks) <= self.limit
-                torque = np.where(free, spring, np.sign(asks) * self.limit)
+                torque = np.where(free, spring, np.clip(asks, -self.limit, self.limit))
+                rubs = 1.0 + self.fading * np.exp(-np.abs(arm.qd) / FADING_SPEED)
+                arm.coulomb = self.coulomb * rubs
                 arm.step(torque, self.damping - np.where(free, 0.0, self.servo_damping))
         return positions
 

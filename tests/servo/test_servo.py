@@ -106,6 +106,26 @@ def test_a_gain_that_the_logs_do_not_show_is_said(robots):
     assert line.endswith("prior")
 
 
+def test_a_dead_zone_is_a_printed_row_of_its_joint_alone(robots, tmp_path):
+    """With its ±, and how to simulate it, as the written model has none."""
+    result = identification(robots["xml"])
+    assert not any("dead zone" in line for line in servo_lines(result))
+    fit = replace(
+        result.fit,
+        dead_zones=np.array([0.0, 0.0125]),
+        dead_zone_errors=np.array([0.0, 0.0021]),
+    )
+    result = replace(result, fit=fit)
+    (line,) = (line for line in servo_lines(result) if "dead zone" in line)
+    words = line.split()
+    assert words[0] == "joint1" and "rad" in line
+    assert [word for word in words if word.startswith("0.0")] == ["0.0125", "0.0021"]
+    (row,) = (row for row in result.quantities if row.name == "dead_zone")
+    assert (row.of, row.value, row.error) == ("joint1", 0.0125, 0.0021)
+    (note,) = servo_notes(result)
+    assert "q + e - clip(e, -dead_zone, dead_zone)" in note
+
+
 @pytest.mark.parametrize(
     ("error", "fault"),
     [
