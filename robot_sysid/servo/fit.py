@@ -59,7 +59,7 @@ SAMPLING_DELAY = 0.01
 errors are 0.8 of the stated ones with it, and 1.2 without."""
 LIMIT_DELAY = 5e-4
 """Error of the delay where samples at a torque limit are left out [s]: what is left beside them is
-up to 0.7 ms late on simulated arms, 2 ms on one of twelve."""
+up to 1.1 ms late on eleven simulated arms, and 2.1 ms on a twelfth."""
 
 # ---- servos that are too fast
 

@@ -39,7 +39,7 @@ FINE_STEP = 0.00025
 """Time step of the rollouts from which the last numbers come [s]. A servo at its torque limit is
 not damped: what half a step of its damping takes from the rotor (``set_servos``) is then missing,
 and steps of 1 ms make rotors of stiff servos 9 % too large, and gains with them."""
-PASSES = ((STEP, 5), (STEP, 5), (FINE_STEP, 3))
+PASSES = ((STEP, 5), (STEP, 5), (0.5 * STEP, 3), (FINE_STEP, 2))
 """Time steps of the rollouts, and how many sets of numbers are tried at the most, each with new
 scales of the position errors: most of the way is gone in large steps, in a quarter of the time."""
 DIFFERENCE = 0.3
