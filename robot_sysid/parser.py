@@ -29,6 +29,7 @@ from robot_sysid.model.chain import (
     joint_label,
     joint_limits,
     joints_before,
+    refuse_play,
     resolve_joint,
 )
 from robot_sysid.model.compilation import (
@@ -96,6 +97,7 @@ def load_robot_model(
     """
     compiled = compile_model(model, mesh_dir)
     mj_model = compiled.mj_model
+    refuse_play(mj_model)
     terminal = (
         find_terminal_joint(mj_model)
         if joint is None

@@ -290,6 +290,33 @@ def resolve_joint(mj_model: Any, name: str, key: str = "joint") -> int:
     return joint
 
 
+def refuse_play(mj_model: Any) -> None:
+    """Raise ModelError where joints are the play of others, by their ids.
+
+    Such a joint is in one body with another one, about the same axis and without a motor, and
+    turns by next to nothing: a model for policies has one for each motor with cheap gears.
+    """
+    driven = driven_joints(mj_model)
+    found = [
+        joint_label(mj_model, joint)
+        for joint in range(1, mj_model.njnt)
+        if is_hinge_or_slide(mj_model, joint)
+        and mj_model.jnt_bodyid[joint] == mj_model.jnt_bodyid[joint - 1]
+        and mj_model.jnt_type[joint] == mj_model.jnt_type[joint - 1]
+        and abs(mj_model.jnt_axis[joint] @ mj_model.jnt_axis[joint - 1]) > PARALLEL
+        and mj_model.jnt_limited[joint]
+        and np.ptp(mj_model.jnt_range[joint]) < MOST_PLAY
+        and joint not in driven
+    ]
+    if found:
+        raise ModelError(
+            f"{', '.join(found)}: the model has a joint for the play of its gears, beside the one "
+            "that the motor turns; no encoder reads it, so no log has it. Remove these <joint> "
+            "elements from a copy of the model and take that; how wide the dead zone of each servo "
+            "is comes from positions and goals"
+        )
+
+
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
     """Return a chain (joint ids, outwards) without the joints of a mobile base at its beginning.
 
@@ -313,6 +340,11 @@ def _moves_nothing(mj_model: Any, joint: int) -> bool:
     return bool(np.sum(mj_model.body_mass[is_own]) < LEAST_MASS)
 
 
+MOST_PLAY = 0.1
+"""Widest range of a joint that is the play of gears [rad or m]: makers of small servos state 0.009
+to 0.017 rad, and worn ones have three times as much."""
+PARALLEL = 0.999
+"""Least cosine between axes that are one."""
 DEFAULT_SLIDE_VELOCITY = 0.25
 """Speed limit of slide joints [m/s]: the one that ISO 10218-1 calls reduced."""
 

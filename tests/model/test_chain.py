@@ -296,3 +296,30 @@ def test_a_base_whose_slides_move_nothing_is_no_gantry(mass, is_base):
         )
     robot = load_robot_model(compile_xml(world(content)))
     assert robot.n_joints == (4 if is_base else 7)
+
+
+@pytest.mark.parametrize(
+    ("beside", "is_play"),
+    [
+        (hinge("play", Z, 'range="-.009 .009"'), True),
+        (hinge("play", Y, 'range="-.009 .009"'), False),
+        (hinge("play", Z), False),
+        (hinge("play", Z, ""), False),
+        ("", False),
+    ],
+    ids=["play", "another axis", "a wide range", "no range", "none"],
+)
+@pytest.mark.parametrize("motors", [1, 2])
+def test_joints_that_are_the_play_of_others_are_told(beside, is_play, motors):
+    """One with a motor of its own is none, however little it may turn."""
+    names = ["turn", "play"][: motors if beside else 1]
+    actuators = "".join(f'<motor joint="{name}"/>' for name in names)
+    extra = f"<actuator>{actuators}</actuator>"
+    model = compile_xml(world(link(hinge("turn", Z) + beside), extra=extra))
+    if is_play and motors == 1:
+        with refused(
+            "play: the model has a joint for the play of its gears", ModelError
+        ):
+            module.refuse_play(model)
+    else:
+        module.refuse_play(model)
