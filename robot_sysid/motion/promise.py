@@ -97,7 +97,8 @@ class FurtherMotion:
 
 FURTHER_MOTIONS = (FurtherMotion((), 15.0), FurtherMotion(("--duration", "60"), 60.0))
 """What ``plan`` makes by default, and for longer; those that cost less first. A slow motion is none
-of them: its low cut-off becomes that of all logs, and of six arms it made five worse."""
+of them: beside a log at full speed it makes the error of a file a tenth smaller at most, where
+another one at full speed halves it."""
 
 
 @dataclass(frozen=True)
