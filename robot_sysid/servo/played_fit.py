@@ -106,4 +106,7 @@ def refine_by_playing(problem: ServoProblem, fit: ServoFit) -> ServoFit:
     errors = fit.errors.copy()
     errors[:, fast] = relative * refined.numbers[:, fast]
     delay_error = np.hypot(STICKING_DELAY, DELAY_UNIT * deviation[-1])
+    if np.isinf(fit.delay_error):
+        # A search from a delay that is not known ends at any.
+        delay_error = np.inf
     return replace(refined, errors=errors, delay_error=float(delay_error))

@@ -50,6 +50,11 @@ MOSTLY = 0.5
 """Share of limited samples from which the limit is the reason that nothing is known."""
 LEAST_LIMITED = 0.005
 """Share of samples at a limit from which it is worth a sentence."""
+UNTIMED = (
+    "the servos are at their torque limits for so long that it is not known, and the one that is "
+    "printed may be tens of milliseconds off; move the arm more gently"
+)
+"""Reason of a delay that is not known."""
 WORSE = (
     "what was found predicts positions worse than the model's numbers, which all stay"
 )
@@ -92,9 +97,12 @@ class ServoIdentification:
         A gain of a joint without a position actuator has a NaN model.
         """
         fit = self.fit
-        yield Quantity("command_delay", "arm", "s", None, fit.delay, fit.delay_error)
         in_steps = fit.delay + early_by(self.robot)
-        yield Quantity("simulated_delay", "arm", "s", None, in_steps, fit.delay_error)
+        source, reason = (MODEL, UNTIMED) if np.isinf(fit.delay_error) else (DATA, "")
+        delays = {"command_delay": fit.delay, "simulated_delay": in_steps}
+        for name, delay in delays.items():
+            error = fit.delay_error
+            yield Quantity(name, "arm", "s", None, delay, error, source, reason)
         for k in np.flatnonzero(fit.dead_zones).tolist():
             found = fit.dead_zones[k], fit.dead_zone_errors[k]
             yield Quantity("dead_zone", self.robot.joint_names[k], "rad", 0.0, *found)
@@ -168,6 +176,8 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
     for row in result.quantities:
         if row.name == "gain" and row.reason:
             yield f"gain of {row.of}: {row.reason}"
+        if row.name == "command_delay" and row.reason:
+            yield f"delay of the commands: {row.reason}"
     fit = result.fit
     for k in np.flatnonzero(
         fit.is_known & (fit.limited_share > LEAST_LIMITED)

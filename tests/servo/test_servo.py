@@ -106,6 +106,19 @@ def test_a_gain_that_the_logs_do_not_show_is_said(robots):
     assert line.endswith("prior")
 
 
+def test_a_delay_that_is_not_known_is_said(robots):
+    """Servos that are mostly at their torque limits show none; a number alone would be believed."""
+    result = identification(robots["xml"])
+    result = replace(result, fit=replace(result.fit, delay_error=np.inf))
+    (note,) = servo_notes(result)
+    assert note.startswith("delay of the commands") and "more gently" in note
+    lines = [line for line in servo_lines(result) if "delay" in line]
+    assert len(lines) == 2
+    assert all(line.endswith("not identifiable") for line in lines)
+    first, second, *_ = result.quantities
+    assert (first.source, second.source) == ("model", "model")
+
+
 def test_a_dead_zone_is_a_printed_row_of_its_joint_alone(robots, tmp_path):
     """With its ±, and how to simulate it, as the written model has none."""
     result = identification(robots["xml"])

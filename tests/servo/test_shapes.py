@@ -64,6 +64,13 @@ def test_moments_at_a_torque_limit_are_left_out():
     assert abs(found.delay - 0.035) < 2.0 * found.delay_error < 3e-3
 
 
+def test_a_delay_is_not_known_where_servos_are_often_at_their_limits():
+    """What is left of such a log may fit a delay that is tens of milliseconds off."""
+    found = fit(limit=' forcerange="-1.1 1.1"')
+    assert 0.3 < found.limited_share[0] < 0.5 and found.is_known.all()
+    assert found.delay_error == np.inf and np.isfinite(found.errors).all()
+
+
 def test_a_servo_that_is_nearly_always_at_its_limit_keeps_the_models_numbers():
     found = fit(limit=' forcerange="-.6 .6"')
     assert not found.is_known.any() and found.delay_error == np.inf
