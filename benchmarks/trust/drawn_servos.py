@@ -127,7 +127,9 @@ def offs(drawn: Drawn, fit: ServoFit) -> dict[str, np.ndarray]:
     truth = np.array([arm.stiffness, arm.damping, arm.coulomb, arm.armature])
     at = fit.is_known & ~fit.is_fast
     off = (fit.numbers - truth)[:, at] / fit.errors[:, at]
-    rows = {"delay": np.array([(fit.delay - arm.delay) / fit.delay_error])}
+    # A delay that is not known, at torque limits, is not right either.
+    off_delay = np.array([fit.delay - arm.delay]) / fit.delay_error
+    rows = {"delay": off_delay[np.isfinite([fit.delay_error])]}
     rows.update(zip(UNITS, off))
     found = fit.dead_zones > 0.0
     missed = (fit.dead_zones - arm.dead_zone)[found]
