@@ -38,6 +38,11 @@ RIVAL_SHARE = 0.6
 three joints beside a seven-joint arm is none, a run of five may be one."""
 LEAST_MASS = 1e-3
 """Mass below which what a joint moves is no part of an arm [kg]: a gram."""
+MOST_PLAY = 0.1
+"""Widest range of a joint that is the play of gears [rad or m]: makers of small servos state 0.009
+to 0.017 rad, and worn ones have three times as much."""
+PARALLEL = 0.999
+"""Least cosine between axes that are one."""
 # Part of the name of a gripper's joint.
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 # Part of the name of a gripper's moving body.
@@ -340,11 +345,6 @@ def _moves_nothing(mj_model: Any, joint: int) -> bool:
     return bool(np.sum(mj_model.body_mass[is_own]) < LEAST_MASS)
 
 
-MOST_PLAY = 0.1
-"""Widest range of a joint that is the play of gears [rad or m]: makers of small servos state 0.009
-to 0.017 rad, and worn ones have three times as much."""
-PARALLEL = 0.999
-"""Least cosine between axes that are one."""
 DEFAULT_SLIDE_VELOCITY = 0.25
 """Speed limit of slide joints [m/s]: the one that ISO 10218-1 calls reduced."""
 

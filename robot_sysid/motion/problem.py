@@ -131,12 +131,13 @@ class ExcitationProblem:
         A joint moves the links from the last one to its own. From the terminal link inwards they
         are the first ones, whose errors the first columns of the triangular factor hold alone.
         """
-        inwards = sorted(self.links, reverse=True)
         deviations = np.zeros((self.n_joints, links.velocity.shape[2]))
-        if not np.any(self.link_errors):
+        limited = np.flatnonzero(np.isfinite(self.limits.torque)).tolist()
+        if not (limited and np.any(self.link_errors)):
             return deviations.T
+        inwards = sorted(self.links, reverse=True)
         columns = links.columns(inwards).transpose(1, 2, 0)
-        for joint in np.flatnonzero(np.isfinite(self.limits.torque)).tolist():
+        for joint in limited:
             size = N_INERTIAL * sum(link >= joint for link in inwards)
             errors = self.link_errors[:size, :size].T @ columns[joint, :size]
             deviations[joint] = np.sqrt(np.sum(errors**2, axis=0))

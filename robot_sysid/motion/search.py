@@ -507,7 +507,7 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
     for factor in SHRINKING:
         x = factor * full
         motion = design.motion(x)
-        if _is_feasible(design.problem, motion, LIMIT_SHARE):
+        if _is_feasible(design.problem, motion):
             return Draw(design.criterion_of(x), x, "")
     # The constraint that the smallest multiple exceeds most.
     value, _ = constraints_of(design.problem, motion)
@@ -519,8 +519,9 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
     return Draw(np.inf, np.zeros_like(full), limit_name(*limits[column]))
 
 
-def _is_feasible(problem: ExcitationProblem, motion: Array, share: float = 1.0) -> bool:
-    """Return whether the samples of a motion (3, N, n) keep a share of all limits, and distances.
+def _is_feasible(problem: ExcitationProblem, motion: Array) -> bool:
+    """Return whether the samples of a motion (3, N, n) keep ``LIMIT_SHARE`` of all limits, and
+    distances.
 
     What is quickly computed comes first, as most motions break a limit: distances of a few
     postures, then torques and speeds, then the distances of all.
@@ -530,7 +531,7 @@ def _is_feasible(problem: ExcitationProblem, motion: Array, share: float = 1.0) 
     if np.min(problem.obstacles.slack(some_postures)) < least:
         return False
     signals = np.abs(problem.signals(motion_of_samples(*motion)))
-    if np.max(signals / problem.limits.columns) > share * (1.0 + ROUNDING):
+    if np.max(signals / problem.limits.columns) > LIMIT_SHARE * (1.0 + ROUNDING):
         return False
     return bool(np.min(problem.obstacles.slack(motion[0])) >= least)
 

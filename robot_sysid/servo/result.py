@@ -174,10 +174,9 @@ def servo_lines(result: ServoIdentification) -> Iterator[str]:
 def servo_notes(result: ServoIdentification) -> Iterator[str]:
     """Yield sentences on the weak points of a result."""
     for row in result.quantities:
-        if row.name == "gain" and row.reason:
-            yield f"gain of {row.of}: {row.reason}"
-        if row.name == "command_delay" and row.reason:
-            yield f"delay of the commands: {row.reason}"
+        titles = {"gain": f"gain of {row.of}", "command_delay": "delay of the commands"}
+        if row.name in titles and row.reason:
+            yield f"{titles[row.name]}: {row.reason}"
     fit = result.fit
     for k in np.flatnonzero(
         fit.is_known & (fit.limited_share > LEAST_LIMITED)
