@@ -78,13 +78,13 @@ STEPS: Mapping[str, Step] = {
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
     "further motion": Step(
-        "If {now} on other motions is too much, plan a second motion: with both logs about "
+        "If {now} on other motions is too much, plan another motion: with its log as well about "
         "{expected} is expected there",
         "plan {model} {options} --output-dir {folder}/planned",
         starts_motion=True,
     ),
     "further motion recorded": Step(
-        "Record it as {folder}/planned/log.csv, and identify the arm from both logs",
+        "Record it as {folder}/planned/log.csv, and identify the arm from all logs",
         "identify {model} {log} {folder}/planned/log.csv {options} --output-dir {folder}/both",
     ),
     "part bolted on": Step(

@@ -64,7 +64,7 @@ class NextMotion:
 
     Attributes:
         plan: words of ``plan`` behind the model, which make it.
-        relative_error: to expect of a file from both logs.
+        relative_error: to expect of a file from that log and those that there are.
     """
 
     plan: tuple[str, ...]
