@@ -7,6 +7,8 @@ about the CENTRE OF MASS in the order xx yy zz xy xz yz.
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -112,10 +114,10 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
     Of all orders and signs of the axes, those that turn the frame's own axes least, which is never
     a mirror: the trace of a mirrored rotation is at most 1, that of the nearest one at least 1.9.
     """
-    from scipy.optimize import linear_sum_assignment
-
     moments, axes = np.linalg.eigh(inertia)
-    _, order = linear_sum_assignment(-np.abs(axes))
+    rows = range(3)
+    orders = [list(order) for order in permutations(rows)]
+    order = max(orders, key=lambda each: np.sum(np.abs(axes[rows, each])))
     nearest = axes[:, order]
     return moments[order], nearest * np.sign(np.diag(nearest))
 
@@ -153,12 +155,21 @@ def rotation_of_angles(roll_pitch_yaw: Array) -> Array:
 
 
 def quaternion(rotation: Array) -> Array:
-    """Return the unit quaternion (4,) w x y z of a rotation (3, 3), w not negative."""
-    from scipy.spatial.transform import Rotation
+    """Return the unit quaternion p (4,) w x y z of a rotation (3, 3), w not negative.
 
-    # SciPy before 1.14 refuses arrays that cannot be written to.
-    x, y, z, w = Rotation.from_matrix(np.array(rotation)).as_quat()
-    return np.array([w, x, y, z]) * (-1.0 if w < 0.0 else 1.0)
+    The rotation shows the ten products of its components; of 4 p p', each row is a multiple of p,
+    and the one with the largest diagonal entry has the most digits (Shepperd, "Quaternion from
+    rotation matrix", Journal of Guidance and Control 1(3), 1978).
+    """
+    trace = np.trace(rotation)
+    odd = rotation - rotation.T
+    products = np.empty((4, 4))
+    products[0, 0] = 1.0 + trace
+    products[0, 1:] = products[1:, 0] = odd[2, 1], odd[0, 2], odd[1, 0]
+    products[1:, 1:] = rotation + rotation.T + (1.0 - trace) * np.eye(3)
+    row = products[np.argmax(np.diag(products))]
+    unit = row / np.linalg.norm(row)
+    return np.asarray(-unit if unit[0] < 0.0 else unit)
 
 
 def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:

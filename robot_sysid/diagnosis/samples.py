@@ -20,6 +20,7 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, count_text, percent, torque_unit
+from robot_sysid.signals.filters import integrate
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
     cut_pieces,
@@ -171,14 +172,12 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     # Pieces of a log have the same columns.
     if pieces[0].qd is None:
         return ratios
-    from scipy.integrate import cumulative_trapezoid
-
     displacements = []
     for piece in select_pieces([*cut_pieces(pieces, WINDOW)], COMPARED):
         length = max(1, round(1.0 / sampling_period(piece.time)))
         if len(piece) > length:
-            integral = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
-            tracks = np.stack((piece.q, integral))
+            assert piece.qd is not None
+            tracks = np.stack((piece.q, integrate(piece.qd, piece.time)))
             displacements.append(tracks[:, length:] - tracks[:, :-length])
     if not displacements:
         return ratios

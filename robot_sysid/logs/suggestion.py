@@ -31,6 +31,7 @@ from robot_sysid.logs.table import LARGEST_NUMBER, LogTable
 from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import count_text
+from robot_sysid.signals.filters import integrate
 from robot_sysid.signals.stamps import is_sampled_motion
 
 BLANK = "?"
@@ -647,10 +648,8 @@ def _derivative_ratio(q: Array, qd: Array, clock: Array) -> float | None:
 
     None where they are not, at a joint that moves, or where the joints disagree.
     """
-    from scipy.integrate import cumulative_trapezoid
-
     # In stretches of 20 rows.
-    integrals = np.diff(cumulative_trapezoid(qd, clock, axis=0)[::20], axis=0)
+    integrals = np.diff(integrate(qd, clock)[1::20], axis=0)
     changes = np.diff(q[1::20], axis=0)
     squares = np.sum(changes**2, axis=0)
     moving = np.flatnonzero(squares > MOVING_SHARE * np.max(squares, initial=0.0))

@@ -112,6 +112,16 @@ def _weighted_sums(values: Array, weights: Array, step: int = 1) -> Array:
     return np.einsum("...kt,t->k...", windows[..., ::step, :], weights)
 
 
+def integrate(values: Array, time: Array) -> Array:
+    """Return the integrals (N, n) of values (N, n) from the first instant on, by trapezoids.
+
+    ``time``: (N,) [s].
+    """
+    means = 0.5 * (values[1:] + values[:-1])
+    steps = np.diff(time)[:, None] * means
+    return np.concatenate((np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)))
+
+
 REACH = 8
 """Samples lost at each end by a derivative."""
 
