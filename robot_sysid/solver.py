@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import BeyondRigidBodies
-from robot_sysid.estimate.bodies import consistent_least_squares
+from robot_sysid.estimate.equations.bodies import consistent_least_squares
 from robot_sysid.estimate.identifiability import fit_quality, visible_space
 from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms

@@ -21,7 +21,8 @@ from robot_sysid.dynamics.friction import (
 )
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.estimate.contacts import without_contacts, without_turns
-from robot_sysid.estimate.fit import Fit, Problem, correlation_times, solve
+from robot_sysid.estimate.equations.inverse import solve
+from robot_sysid.estimate.fit import Fit, Problem, correlation_times
 from robot_sysid.estimate.links import (
     AS_STATED,
     CENTRE,

@@ -147,7 +147,7 @@ def without_worst_blocks(fitted: Fit) -> Array:
         for block in blocks:
             if block not in left_out:
                 left = [*left_out, block]
-                estimate, _ = fitted.without(left)
+                estimate = fitted.solution_of(fitted.normal_without(left))
                 tried[block] = size(estimate, left), estimate
         block = min(tried, key=lambda b: tried[b][0])
         if tried[block][0] > current - np.log(2.0):

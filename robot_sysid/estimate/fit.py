@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid import spatial
 from robot_sysid.dynamics.friction import OFFSET
-from robot_sysid.estimate.bodies import Possible, consistent_least_squares
+from robot_sysid.estimate.equations.bodies import Possible, consistent_least_squares
+from robot_sysid.estimate.equations.inverse import RIDGE, solution, solve
+from robot_sysid.estimate.equations.normal import Equations, equations_of
 from robot_sysid.estimate.links import last_link_scale
 from robot_sysid.estimate.questions import (
     Question,
@@ -49,7 +50,6 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.records import Array
 from robot_sysid.signals.process import FilteredRecording
-from robot_sysid.spatial import N_INERTIAL
 
 ROUNDS = 12
 """Most rounds of an iteration, which ends where nothing changes any more."""
@@ -61,184 +61,6 @@ NOISE = "noise"
 """The cause of errors that is none of a term: noise of the torques."""
 # Variance of a parameter, over that of its column alone, from which on nothing shows it.
 _HIDDEN = 1e9
-# Added to the diagonal of scaled equations: parameters that nothing shows stay at the model's.
-_RIDGE = 1e-12
-
-
-class Equations:
-    """Normal equations of a question's k parameters: data and priors, all others held.
-
-    Args:
-        sums: of all rows, in p parameters.
-        terms: the question.
-        held: (p,) values of the parameters that are not estimated.
-
-    Attributes:
-        index: (k,) of the estimated parameters in ``sums.names``.
-        names: (k,) their names.
-        spans: each term with the indices of its parameters among the estimated ones.
-        lower, upper: (k,) bounds.
-        yields: (k,) which are held at their bound before others are that cross theirs.
-        reference: (k,) values that stay where nothing shows them.
-        prior: (k + 1, k + 1) products of the priors' equations.
-        selection: (p + 1, k + 1) takes all columns and the torque to the estimated ones and the
-            torque that is left to explain.
-        bodies: (L, 10) indices of the parameters of each body that has to be possible.
-        least: (k,) bodies that these have to contain; zero for none.
-    """
-
-    def __init__(self, sums: Sums, terms: Sequence[Term], held: Array) -> None:
-        self.sums = sums
-        self.held = held
-        self.terms = tuple(terms)
-        self.names = tuple(name for term in terms for name in term.names)
-        self.index = sums.at(self.names)
-        size = len(self.names)
-        self.prior = np.zeros((size + 1, size + 1))
-        self.reference = np.zeros(size)
-        self.least = np.zeros(size)
-        self.lower = np.full(size, -np.inf)
-        self.upper = np.full(size, np.inf)
-        self.yields = np.zeros(size, dtype=bool)
-        self.bodies = np.zeros((0, N_INERTIAL), dtype=np.int64)
-        self.selection = np.zeros((len(held) + 1, size + 1))
-        self.selection[:, -1] = np.append(-held, 1.0)
-        self.selection[self.index] = np.eye(size, size + 1)
-        ends = np.cumsum([len(term.names) for term in terms], dtype=np.int64)
-        self.spans = list(zip(terms, np.split(np.arange(size), ends[:-1])))
-        for term, span in self.spans:
-            if term.is_bounded:
-                self.lower[span] = [each.lower for each in term.parameters]
-                self.upper[span] = [each.upper for each in term.parameters]
-                self.yields[span] = [each.yields for each in term.parameters]
-            self.reference[span] = term.reference
-            self.least[span] = term.least
-            if term.prior is not None:
-                at = np.append(span, size)
-                self.prior[at[:, None], at] += term.prior.rows.T @ term.prior.rows
-                self.reference[span] = term.prior.mean
-            if term.bodies:
-                self.bodies = np.vstack((self.bodies, span.reshape(-1, N_INERTIAL)))
-
-    def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
-        """Return the products (k + 1, k + 1) of weighted rows, of all blocks or some."""
-        total = np.zeros((len(self.selection), len(self.selection)))
-        grams = self.sums.of_blocks(blocks)
-        for weight, columns, gram in zip(weights, self.sums.columns, grams):
-            total[columns[:, None], columns] += weight**2 * gram
-        # Nearly all of the selection's products would be with zeros.
-        data = np.zeros_like(self.prior)
-        data[:-1, :-1] = total[self.index[:, None], self.index]
-        data[-1] = self.selection.T @ (total @ self.selection[:, -1])
-        data[:, -1] = data[-1]
-        return data
-
-    def normal(self, weights: Array) -> Array:
-        """Return the products (k + 1, k + 1) of priors and of weighted rows."""
-        return self.prior + self.data(weights)
-
-    def squared_residuals(
-        self, values: Array, blocks: Sequence[int] | None = None
-    ) -> Array:
-        """Return each joint's sum of squared residuals (J,) at values (k,) [N^2 m^2]."""
-        return self.sums.squared_residuals(self.full(values), blocks)
-
-    def spread(self, covariance: Array, blocks: Sequence[int] | None = None) -> Array:
-        """Return the squared errors (J,) to expect from those of an estimate (k, k) [N^2 m^2]."""
-        errors = np.zeros((len(self.selection), len(self.selection)))
-        errors[self.index[:, None], self.index] = covariance
-        pairs = zip(self.sums.columns, self.sums.of_blocks(blocks))
-        return np.array([np.vdot(gram, errors[at[:, None], at]) for at, gram in pairs])
-
-    def are_possible_bodies(self, values: Array) -> bool:
-        """Tell whether all bodies are possible at values (k,)."""
-        return all(map(spatial.is_consistent, (values - self.least)[self.bodies]))
-
-    def inside(self, values: Array) -> Array:
-        """Return values (k,) with those that cross a bound moved to it."""
-        return np.clip(values, self.lower, self.upper)
-
-    def crossing(self, values: Array) -> NDArray[np.bool_]:
-        """Return which of values (k,) cross a bound by more than rounding."""
-        inside = self.inside(values)
-        return np.abs(values - inside) > 1e-9 * (1.0 + np.abs(inside))
-
-    def full(self, values: Array) -> Array:
-        """Return all parameters (p,) from the estimated ones (k,)."""
-        return self.selection[:-1] @ np.append(values, -1.0)
-
-
-def solve(
-    normal: Array, reference: Array, is_free: NDArray[np.bool_] | None = None
-) -> tuple[Array, Array]:
-    """Return (solution (k,), inverse (k, k)) of products [A b]'[A b] (k + 1, k + 1).
-
-    Directions that nothing shows stay at ``reference`` (k,). Parameters that are not ``is_free``
-    (k,) stay there, too; their rows of the inverse are zero.
-    """
-    matrix = normal[:-1, :-1]
-    values = solution(matrix, normal[:-1, -1], reference, is_free)
-    at = np.arange(len(values)) if is_free is None else np.flatnonzero(is_free)
-    inverse = np.zeros_like(matrix)
-    inverse[at[:, None], at] = _inverse(matrix[at[:, None], at])
-    return values, inverse
-
-
-def solution(
-    matrix: Array,
-    right_side: Array,
-    reference: Array,
-    is_free: NDArray[np.bool_] | None = None,
-) -> Array:
-    """Return the solution (k,) of ``solve`` without the inverse, which takes most of its time.
-
-    ``matrix`` (k, k) and ``right_side`` (k,) are the products A'A and A'b.
-    """
-    from scipy.linalg.lapack import dpotrs
-
-    at = np.arange(len(reference)) if is_free is None else np.flatnonzero(is_free)
-    own = matrix[at[:, None], at]
-    scale, scaled, root = _scaled_root(own)
-    values = reference.copy()
-    # The second step is one of refinement: nearly singular equations lose digits.
-    for _ in range(2):
-        gradient = right_side[at] - matrix[at] @ values
-        if root is None:
-            values[at] += _inverse(own) @ gradient
-        else:
-            values[at] += scale * dpotrs(root, scale * gradient, lower=True)[0]
-    return values
-
-
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse of a normal matrix (k, k), regular but for rounding."""
-    # A triangle takes a third of the time of a square matrix; SciPy takes some to import.
-    from scipy.linalg.lapack import dtrtri
-
-    scale, scaled, root = _scaled_root(matrix)
-    if root is None:
-        # Rounding has made it indefinite: its positive rows.
-        values, vectors = np.linalg.eigh(scaled)
-        half = vectors / np.sqrt(np.maximum(values, _RIDGE))
-    else:
-        half = dtrtri(root, lower=True)[0].T
-    return scale[:, None] * (half @ half.T) * scale
-
-
-def _scaled_root(matrix: Array) -> tuple[Array, Array, Array | None]:
-    """Return a normal matrix (k, k) with a diagonal of ones, and its Cholesky factor.
-
-    It is (scale (k,) of rows and columns, scaled matrix (k, k), its factor (k, k)); the factor is
-    None where rounding has made the matrix indefinite.
-    """
-    from scipy.linalg.lapack import dpotrf
-
-    length = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    scale = 1.0 / np.where(length > 0.0, length, 1.0)
-    scaled = scale[:, None] * matrix * scale
-    scaled[np.diag_indices_from(scaled)] += _RIDGE
-    root, is_indefinite = dpotrf(scaled, lower=True)
-    return scale, scaled, None if is_indefinite else root
 
 
 class LeftOut(Enum):
@@ -382,15 +204,15 @@ class Fit(Problem):
         """Weights (J,) of each joint's rows [1/(N m)]."""
         return 1.0 / (self.noise * np.sqrt(self.correlation))
 
-    @cached_property
+    @property
     def normal(self) -> Array:
         """Products (k + 1, k + 1) of priors and of weighted rows."""
-        return self.equations.normal(self.weights)
+        return self.equations.weighted(self.weights).normal
 
-    @cached_property
+    @property
     def unbounded_solution(self) -> tuple[Array, Array]:
         """Estimate (k,) without bounds, and the covariance (k, k) that noise and priors imply."""
-        return solve(self.normal, self.equations.reference)
+        return self.equations.weighted(self.weights).solution
 
     @property
     def inverse(self) -> Array:
@@ -520,20 +342,36 @@ class Fit(Problem):
         return indices_of(names, self.names)
 
     @cached_property
-    def _apart(self) -> tuple[Array, Array]:
-        """Estimates (B, k) without each block, and squared errors (B, J) to expect in it."""
+    def _normals_apart(self) -> list[Array]:
+        """Products (B,), each (k + 1, k + 1), of priors and of the rows of all blocks but one each.
+
+        They are sums of the others': a difference would leave rounding where they show nothing.
+        """
+        if self.held_apart is not None:
+            pairs = enumerate(self.before)
+            return [other.normal_without([block]) for block, other in pairs]
+        own = [self.equations.data(self.weights, [block]) for block in self.sums.blocks]
+        normals = [self.equations.prior]
+        for data in own[:-1]:
+            normals.append(normals[-1] + data)
+        later = np.zeros_like(self.equations.prior)
+        for block in reversed(self.sums.blocks):
+            normals[block] = normals[block] + later
+            later = later + own[block]
+        return normals
+
+    @cached_property
+    def alone(self) -> Array:
+        """Estimates (B, k) without one block each."""
+        if self.left_out is LeftOut.NOTHING:
+            return np.array([])
         estimates = []
-        errors = []
-        is_any = self.left_out is not LeftOut.NOTHING
-        for block in self.sums.blocks if is_any else ():
-            other = self.before[block]
-            normal = other.normal_without([block])
-            values, inverse = solve(normal, other.start, other.is_free)
-            errors.append(other.expected_squares(inverse, [block]))
+        for other, normal in zip(self.before, self._normals_apart):
+            values = other.solution_of(normal)
             if self.left_out is LeftOut.WITH_BOUNDS:
                 values = other._possible_of(normal, values)
             estimates.append(values)
-        return np.array(estimates), np.array(errors)
+        return np.array(estimates)
 
     @cached_property
     def before(self) -> tuple[Fit, ...]:
@@ -545,11 +383,6 @@ class Fit(Problem):
             equations = Equations(self.sums, self.equations.terms, held)
             fits.append(replace(self, equations=equations, held_apart=None))
         return tuple(fits)
-
-    @property
-    def alone(self) -> Array:
-        """Estimates (B, k) without one block each."""
-        return self._apart[0]
 
     @cached_property
     def held_out(self) -> Array:
@@ -574,10 +407,17 @@ class Fit(Problem):
             ]
         )
 
-    @property
+    @cached_property
     def expected_held_out(self) -> Array:
         """Squared errors (B, J) to expect of ``held_out`` if the model is right [N^2 m^2]."""
-        return self._apart[1]
+        if self.left_out is LeftOut.NOTHING:
+            return np.array([])
+        errors = []
+        pairs = zip(self.before, self._normals_apart)
+        for block, (other, normal) in enumerate(pairs):
+            _, inverse = solve(normal, other.start, other.is_free)
+            errors.append(other.expected_squares(inverse, [block]))
+        return np.array(errors)
 
     def expected_squares(self, inverse: Array, blocks: Sequence[int]) -> Array:
         """Return the squared errors (J,) to expect in blocks from noise and an estimate's errors.
@@ -598,6 +438,10 @@ class Fit(Problem):
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
         """Return (estimate (k,), inverse (k, k)) without some blocks."""
         return solve(self.normal_without(blocks), self.start, self.is_free)
+
+    def solution_of(self, normal: Array) -> Array:
+        """Return the solution (k,) of products (k + 1, k + 1), what is at a bound held there."""
+        return solution(normal[:-1, :-1], normal[:-1, -1], self.start, self.is_free)
 
     def _possible_of(self, normal: Array, values: Array) -> Array:
         """Return the solution (k,) of products (k + 1, k + 1) in bounds, with possible bodies.
@@ -627,7 +471,7 @@ class Fit(Problem):
         if possible and len(equations.bodies):
             return self._with_possible_bodies(normal)
         while True:
-            values, _ = solve(normal, start, is_free)
+            values = solution(normal[:-1, :-1], normal[:-1, -1], start, is_free)
             crosses = equations.crossing(values) & is_free
             if not np.any(crosses):
                 break
@@ -674,7 +518,7 @@ class Fit(Problem):
         right_side = normal[at, -1] - normal[at, :-1] @ known
         length = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = matrix / np.outer(length, length)
-        scaled[np.diag_indices_from(scaled)] += _RIDGE
+        scaled[np.diag_indices_from(scaled)] += RIDGE
         root = np.linalg.cholesky(scaled)
         target = np.linalg.solve(root, right_side / length)
         links = np.searchsorted(at, equations.bodies)
@@ -825,27 +669,6 @@ def _settled(fitted: Fit) -> tuple[NDArray[np.int64], Array, Array]:
     normal = fitted.normal.copy()
     normal[at, at] += wide
     return at, wide, solve(normal, fitted.values)[1]
-
-
-def equations_of(
-    arm: ArmTerms, sums: Sums, terms: Sequence[Term], held: Mapping[str, float]
-) -> Equations:
-    """Return the equations of a question, without parameters that have neither data nor prior.
-
-    All others are held at ``held``, else at the model's values, else at zero.
-    """
-    squares = np.sum(sums.squares, axis=0)
-    shown = []
-    for term in terms:
-        if term.prior is None and not term.bodies:
-            own = squares[sums.at(term.names)]
-            term = term.only(np.flatnonzero(own).tolist())
-        if term.names:
-            shown.append(term)
-    values = {**arm.model, **held}
-    return Equations(
-        sums, shown, np.array([values.get(name, 0.0) for name in sums.names])
-    )
 
 
 def correlation_times(residuals: Sequence[Array]) -> Array:

@@ -344,13 +344,24 @@ class LinkEvidence:
     def log_likelihood(self, scales: LinkScales) -> float:
         """Return log p(S) up to a constant."""
         scale = deviations(self.stated, self.share, scales, self.common)
-        matrix = np.eye(len(scale)) + scale[:, None] * self.curvature * scale
-        # SciPy takes some time to import.
-        from scipy.linalg.lapack import dpotrf, dtrtrs
-
-        root, _ = dpotrf(matrix, lower=True)
-        half = dtrtrs(root, scale * self.gradient, lower=True)[0]
-        return float(0.5 * half @ half - np.sum(np.log(np.diag(root))))
+        gradient = scale * self.gradient
+        matrix = scale[:, None] * self.curvature * scale
+        matrix.flat[:: len(scale) + 1] += 1.0
+        # The root of the matrix with the gradient as one more row has L^-1 gradient in that row.
+        bordered = np.zeros((len(scale) + 1, len(scale) + 1))
+        bordered[:-1, :-1] = matrix
+        bordered[-1] = np.append(gradient, 1.0 + 2.0 * gradient @ gradient)
+        try:
+            root = np.linalg.cholesky(bordered)
+        except np.linalg.LinAlgError:
+            # Rounding has made the curvature indefinite.
+            values, vectors = np.linalg.eigh(matrix)
+            roots = np.sqrt(np.maximum(values, 1.0))
+            half = (vectors.T @ gradient) / roots
+        else:
+            roots = np.diag(root)[:-1]
+            half = root[-1, :-1]
+        return float(0.5 * half @ half - np.sum(np.log(roots)))
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:

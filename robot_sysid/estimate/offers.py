@@ -24,7 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
-from robot_sysid.estimate.fit import Fit, solve
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.identifiability import ROUNDING
 from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array
@@ -119,9 +119,10 @@ class Offers:
         self.sums = fitted.sums
         self.weights = 1.0 / fitted.noise if weights is None else weights
         equations = fitted.equations
-        self._normal = equations.normal(self.weights)
+        weighted = equations.weighted(self.weights)
+        self._normal = weighted.normal
         # Bounds do not count: evidence of a negative friction would hide in other columns.
-        free, self.inverse = solve(self._normal, equations.reference)
+        free, self.inverse = weighted.solution
         self._own = np.append(free, -1.0)
         self._full = equations.selection @ self._own
         self.squares = self.sums.squared_residuals(self._full[:-1])
@@ -143,15 +144,16 @@ class Offers:
             cross[columns] += self.weights[joint] ** 2 * products
             own += self.weights[joint] ** 2 * squares
         # How all parameters move per unit of the further ones.
-        estimated = self.fitted.equations.selection[:, :-1]
-        moves = -estimated @ (self.inverse @ (estimated.T @ cross))
+        estimated = self.fitted.equations.index
+        moves = np.zeros_like(cross)
+        moves[estimated] = -self.inverse @ cross[estimated]
         factor = effect.factor
         inner = factor.T @ (own + cross.T @ moves) @ factor + np.eye(factor.shape[1])
         covariance = factor @ np.linalg.inv(inner) @ factor.T
         gradient = -self._full @ cross
         values = covariance @ gradient
         explained = float(gradient @ values)
-        change = estimated.T @ (moves @ values)
+        change = moves[estimated] @ values
         step = np.append(change, 0.0)
         prior = self.fitted.equations.prior
         return Offer(

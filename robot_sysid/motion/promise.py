@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, ROTOR, VISCOUS
 from robot_sysid.estimate.choose import fastest_of, speeds_in
-from robot_sysid.estimate.fit import Fit, settled_values, solve
+from robot_sysid.estimate.equations.inverse import solve
+from robot_sysid.estimate.fit import Fit, settled_values
 from robot_sysid.estimate.links import last_link_scale
 from robot_sysid.estimate.questions import LEAST_DRY
 from robot_sysid.estimate.restricted_fit import straight_of

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, TERMS, VISCOUS
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimate.fit import solve
+from robot_sysid.estimate.equations.inverse import solve
 from robot_sysid.estimate.links import EXPECTED, link_factor
 from robot_sysid.estimate.terms import Prior, independent
 from robot_sysid.records import Array, Recording, RobotModel

@@ -18,7 +18,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     turn_gravity,
 )
-from robot_sysid.estimate.fit import solve
+from robot_sysid.estimate.equations.inverse import solve
 from robot_sysid.estimate.quantities import link_estimates
 from robot_sysid.estimate.restricted_fit import errors_of, fit_file
 from robot_sysid.model.bodies import write_body

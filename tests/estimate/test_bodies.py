@@ -14,7 +14,7 @@ from rigs.arms import small_arms
 from rigs.arms.small_arms import SEEDS
 from robot_sysid import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimate.bodies import LEAST_SHARE, consistent_least_squares
+from robot_sysid.estimate.equations.bodies import LEAST_SHARE, consistent_least_squares
 
 
 class Problem(NamedTuple):

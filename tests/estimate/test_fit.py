@@ -272,7 +272,7 @@ def test_blocks_that_differ_say_nothing_of_torque_scales(payload_fit):
     """The jackknife raises what noise and priors imply of a payload, not what scales do to it."""
     apart = 10.0 * np.sqrt(np.diag(payload_fit.inverse))
     differing = replace(payload_fit)
-    differing.__dict__["_apart"] = np.stack([-apart, apart]), None
+    differing.__dict__["alone"] = np.stack([-apart, apart])
     at = np.ix_(*2 * (payload_fit.at(PAYLOAD_NAMES),))
     expected = 100.0 * payload_fit.inverse[at] + payload_fit.scale_errors[at]
     assert_allclose(differing.covariance[at], expected, rtol=1e-9)

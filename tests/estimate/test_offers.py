@@ -8,7 +8,9 @@ from numpy.testing import assert_allclose
 
 from rigs.arms.core_fits import fit_recordings
 from rigs.logs.payload_logs import TrueArm, add_torque, four_joint_arm
-from robot_sysid.estimate.fit import Equations, correlation_times, solve
+from robot_sysid.estimate.equations.inverse import solve
+from robot_sysid.estimate.equations.normal import Equations
+from robot_sysid.estimate.fit import correlation_times
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.estimate.terms import SCALE_DRIFT, ZEROS, ArmTerms, Term, independent

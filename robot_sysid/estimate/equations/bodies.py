@@ -84,6 +84,36 @@ class Possible:
 
 
 @dataclass(frozen=True)
+class SparseColumns:
+    """A sparse matrix as Clarabel reads it: SciPy's class takes half a second to import.
+
+    Attributes:
+        data: (nnz,) the numbers that are not zero, column by column.
+        indices: (nnz,) their rows.
+        indptr: (columns + 1,) where each column begins in these.
+        shape: numbers of rows and columns.
+    """
+
+    data: Array
+    indices: NDArray[np.int64]
+    indptr: NDArray[np.int64]
+    shape: tuple[int, ...]
+    has_canonical_format = True
+
+    @classmethod
+    def of(cls, matrix: Array) -> SparseColumns:
+        """Return a matrix without its zeros."""
+        columns, rows = np.nonzero(matrix.T)
+        starts = np.searchsorted(columns, np.arange(matrix.shape[1] + 1))
+        return cls(matrix[rows, columns], rows, starts, matrix.shape)
+
+    @property
+    def nnz(self) -> int:
+        """How many numbers are not zero."""
+        return len(self.data)
+
+
+@dataclass(frozen=True)
 class _Sought:
     """What is searched: coordinates of links, which are last, and of parameters before them.
 
@@ -272,9 +302,8 @@ def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Arra
         least: (L, 4, 4) of each K, which are at least these.
         lower, upper: (q,) bounds of the first coordinates.
     """
-    # Imported here, as SciPy's sparse matrices take half a second and most runs need no body.
+    # Most runs need no body.
     import clarabel
-    from scipy import sparse
 
     count, size = len(equations), equations.shape[1] - 1
     every = np.eye(size, size + count)
@@ -301,9 +330,9 @@ def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Arra
         limits = np.concatenate((rows[:, -1], bounds, np.ravel(above)))
         try:
             solution = clarabel.DefaultSolver(
-                sparse.csc_matrix(np.diag(np.repeat((0.0, 1.0), (size, count)))),
+                SparseColumns.of(np.diag(np.repeat((0.0, 1.0), (size, count)))),
                 np.zeros(size + count),
-                sparse.csc_matrix(constraints),
+                SparseColumns.of(constraints),
                 limits,
                 cones,
                 settings,

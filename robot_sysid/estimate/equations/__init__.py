@@ -1,0 +1,1 @@
+"""The equations of a question: made of sums, and solved."""
