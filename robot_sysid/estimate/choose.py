@@ -22,7 +22,7 @@ from robot_sysid.dynamics.friction import (
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.estimate.contacts import without_contacts, without_turns
 from robot_sysid.estimate.equations.inverse import solve
-from robot_sysid.estimate.fit import Fit, Problem, correlation_times
+from robot_sysid.estimate.fit import Fit, LeftOut, Problem, correlation_times
 from robot_sysid.estimate.links import (
     AS_STATED,
     CENTRE,
@@ -109,7 +109,8 @@ def solve_question(
         recordings: the recordings.
         question: what is asked of them.
         progress: is advanced after every pass over the rows and every fit.
-        beside: returns terms whose columns stand beside those of the question; None for none.
+        beside: returns terms whose columns stand beside those of the question, to judge its logs:
+            bodies may then be impossible; None for none.
 
     Raises:
         InputError: no joint moves fast enough for its equations to be used.
@@ -147,7 +148,8 @@ def solve_question(
             chosen = choose_motors(current, offered)
             arm = arm_of(robot, question, speeds, (*stated, *chosen))
             current = start.fit(replace(current, arm=arm)) if chosen else current
-    current = with_links_of(current, start.torque)
+    # A log is judged by what is free: bodies are possible in its answer.
+    current = with_links_of(current, start.torque, possible=beside is None)
     progress.advance(_LABEL, n_steps, n_steps, "")
     return current
 
@@ -316,13 +318,16 @@ def has_odd_link_alone(fitted: Fit) -> bool:
     return evidence is not None and is_odd_alone(evidence)
 
 
-def with_links_of(fitted: Fit, torque: Array, odd: OddNumber | None = None) -> Fit:
-    """Return the fit with the priors of links that the data asks for, and with possible bodies.
+def with_links_of(
+    fitted: Fit, torque: Array, odd: OddNumber | None = None, possible: bool = True
+) -> Fit:
+    """Return the fit with the priors of links that the data asks for.
 
     Args:
         fitted: the fit.
         torque: (J,) root mean square of each joint's torque that sizes the priors [N m].
         odd: number of the model that is far more off than others; None for none.
+        possible: whether bodies have to be possible ones.
     """
     question = replace(fitted.question, odd_number=odd)
     evidence = link_evidence(fitted, odd)
@@ -335,7 +340,8 @@ def with_links_of(fitted: Fit, torque: Array, odd: OddNumber | None = None) -> F
             evidence = evidence.with_common(common)
         question = replace(question, link_scales=average_scales(evidence))
     terms = arm_question(fitted.arm, question, torque)
-    return replace(fitted, question=question).refit(terms, possible=True)
+    after = replace(fitted, question=question).refit(terms, possible=possible)
+    return replace(after, left_out=LeftOut.EACH)
 
 
 def speeds_in(recordings: Sequence[FilteredRecording]) -> Array:
