@@ -140,7 +140,7 @@ class Offers:
         for joint, columns in enumerate(self.sums.columns):
             if effect.joint not in (None, joint):
                 continue
-            products, squares = self._products(effect, joint, False)
+            products, squares = self._effect_products(effect, joint, False)
             cross[columns] += self.weights[joint] ** 2 * products
             own += self.weights[joint] ** 2 * squares
         # How all parameters move per unit of the further ones.
@@ -172,7 +172,7 @@ class Offers:
         """Return the products of each joint's rows, or of successive rows if ``lagged``."""
         return self.sums.lagged_totals if lagged else self.sums.totals
 
-    def _products(
+    def _effect_products(
         self, effect: Effect, joint: int, lagged: bool
     ) -> tuple[Array, Array]:
         """Return the products (k, m) of a joint's k columns with an effect's, and the latter's.
@@ -205,7 +205,7 @@ class Offers:
         change = np.zeros(len(self.weights))
         explained = np.zeros(len(self.weights))
         for joint, columns in enumerate(self.sums.columns):
-            cross, squares = self._products(offer.effect, joint, lagged)
+            cross, squares = self._effect_products(offer.effect, joint, lagged)
             moves = offer.moves[columns]
             moved = totals[joint] @ moves + cross
             slope = self._full[columns] @ moved

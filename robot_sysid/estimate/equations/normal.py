@@ -145,9 +145,9 @@ class Equations:
 
         They are made once for all rounds of a noise.
         """
-        return self._products(None)
+        return self._products_of(None)
 
-    def _products(self, blocks: Sequence[int] | None) -> tuple[Array, ...]:
+    def _products_of(self, blocks: Sequence[int] | None) -> tuple[Array, ...]:
         """Return the products (m + 1, m + 1) of each joint's rows, of all blocks or some."""
         pairs = zip(self.joint_columns, self.sums.of_blocks(blocks))
         return tuple(columns.products(gram) for columns, gram in pairs)
@@ -157,7 +157,7 @@ class Equations:
 
         They are those of all blocks or some.
         """
-        return self._totals if blocks is None else self._products(blocks)
+        return self._totals if blocks is None else self._products_of(blocks)
 
     def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the products (k + 1, k + 1) of weighted rows, of all blocks or some."""
