@@ -16,6 +16,7 @@ in an orthonormal basis of symmetric matrices, which are also the rows of Clarab
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -261,8 +262,12 @@ def _possible_coordinates(equations: Array, sought: _Sought) -> Array:
         sought: bodies and bounds.
     """
     units = [*map(_units, sought.bodies)]
-    z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
+    free = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
+    z = np.asarray(free, dtype=float)
     count = len(sought.lower)
+    # Most searches near the reference bodies need no other ones.
+    if _is_possible(z, units, sought):
+        return z
     if sought.start is not None:
         deviations = sought.start - sought.bodies
         z[count:] = np.concatenate([*map(np.linalg.solve, units, deviations)])
@@ -290,6 +295,22 @@ def _possible_coordinates(equations: Array, sought: _Sought) -> Array:
         if found.any() and (sought.start is not None or is_small):
             break
     return np.asarray(z)
+
+
+def _is_possible(z: Array, units: Sequence[Array], sought: _Sought) -> bool:
+    """Return whether coordinates z (q + 10 L,) keep all bounds, and their bodies are consistent.
+
+    ``units`` are per body ``_units`` of its reference body.
+    """
+    bounded = z[: len(sought.lower)]
+    if np.any(bounded < sought.lower) or np.any(bounded > sought.upper):
+        return False
+    changes = z[len(bounded) :].reshape(-1, N_INERTIAL)
+    least = 1.0 - LEAST_SHARE
+    return all(
+        spatial.is_consistent(least * theta + unit @ change)
+        for theta, unit, change in zip(sought.bodies, units, changes)
+    )
 
 
 def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Array:
