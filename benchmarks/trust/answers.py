@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import io
 import json
+import multiprocessing
+import signal
+import threading
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,16 +32,56 @@ CRASH = "Traceback (most recent call last)"
 """What standard error has of a program that crashed."""
 
 
+STOPS = (signal.SIGINT, signal.SIGTERM)
+"""Signals that end a benchmark."""
+
+
+class Stopped(SystemExit):
+    """A signal has ended the benchmark, whose exit code is that of a process it kills."""
+
+
+@contextmanager
+def end_on_signals() -> Iterator[None]:
+    """Have signals that arrive in the block end the benchmark and its processes, whatever catches
+    them there: a command turns an interruption into an exit code, which is no answer to a log.
+
+    Outside of the main thread nothing is changed, and signals that are ignored stay so.
+    """
+    codes: list[int] = []
+
+    def stop(number: int, frame: Any) -> None:
+        codes.append(128 + number)
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise Stopped(codes[0])
+
+    previous = {}
+    is_main = threading.current_thread() is threading.main_thread()
+    for number in STOPS if is_main else ():
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            previous[number] = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        if codes:
+            raise Stopped(codes[0])
+
+
 def run_command(*words: str | Path) -> tuple[int, str, str]:
     """Return (exit code, standard output, standard error) of a command, run in this process.
 
-    A crash has a traceback in its standard error, as in a process of its own.
+    A crash has a traceback in its standard error, as in a process of its own. A signal ends the
+    benchmark.
     """
     output = io.StringIO()
     messages = io.StringIO()
-    with redirect_stdout(output), redirect_stderr(messages):
+    with end_on_signals(), redirect_stdout(output), redirect_stderr(messages):
         try:
             code = main([str(word) for word in words])
+        except Stopped:
+            raise
         except SystemExit as end:
             code = int(end.code or 0)
         except Exception:

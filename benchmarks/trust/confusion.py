@@ -47,7 +47,8 @@ harmful     a trusted mass that is 20 % off, and two stated errors (the last lin
 off         a trusted answer's last mass that is two stated errors off
 sound       any other trusted mass
 
-A command that ends with a traceback is found as "crash", and refused. Then come the mean processor
+A command that ends with a traceback is found as "crash", and refused; one that a signal stops ends
+the benchmark, with exit code 130 or 143, and is not counted. Then come the mean processor
 time of both commands and each set of names. Where the payload changes within a log, the nearest of
 the true masses counts. Below each cause are its failures: wrong logs that are not named rightly,
 right logs that are named, harmful answers.
@@ -75,6 +76,7 @@ import numpy as np
 from benchmarks.trust.answers import (
     CRASH,
     bare_model_text,
+    end_on_signals,
     identify_logs,
     model_text,
     number,
@@ -697,4 +699,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with end_on_signals():
+        sys.exit(main())
