@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import ast
 import re
+import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from benchmarks.trust.answers import Stopped, run_command
+from benchmarks.trust.drawn_changes import Subject, draw_changes
 from rigs.files.page_tables import PageTable
-from rigs.files.places import ROOT
+from rigs.files.places import GUESS, ROOT
+from robot_sysid.records import Recording
 
 FOLDER = ROOT / "benchmarks"
 PAGE = (FOLDER / "README.md").read_text(encoding="utf-8")
@@ -194,3 +199,47 @@ def test_a_table_is_printed_and_where_asked_for_in_its_page(
     assert capsys.readouterr().out == "new\nrows\n"
     assert table.read().split() == (["new", "rows"] if is_written else ["old"])
     assert page.read_text().startswith("above\n") and "below" in page.read_text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_a_command_ends_the_benchmark(number, tmp_path):
+    """It is no answer to a log, though the command turns it into an exit code."""
+    handlers = [signal.getsignal(each) for each in (signal.SIGALRM, number)]
+    signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+    signal.setitimer(signal.ITIMER_REAL, 0.2)
+    try:
+        with pytest.raises(Stopped) as stopped:
+            run_command(GUESS, "--output-dir", tmp_path)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, handlers[0])
+    assert stopped.value.code == 128 + number
+    assert signal.getsignal(number) is handlers[1]
+
+
+def test_drawn_changes_are_those_of_their_seed_and_change_the_log():
+    """Each of them, of any log, keeps the number of joints and as many rows of each quantity."""
+    rng = np.random.default_rng(0)
+    time = 0.01 * np.arange(400)
+    q = np.cumsum(rng.standard_normal((400, 6)), axis=0) / 20.0
+    log = Recording(time, q, None, rng.standard_normal((400, 6)))
+    names = tuple(f"joint{number}" for number in range(6))
+    subject = Subject(names, log, np.ones(6))
+    kinds = set()
+    for seed in range(100):
+        twice = [draw_changes(np.random.default_rng(seed), subject) for _ in range(2)]
+        words = [[change.words for change in changes] for changes in twice]
+        assert words[0] == words[1]
+        spoiled = subject
+        for change in twice[0]:
+            spoiled = change.spoil(spoiled)
+            kinds.add(change.kind)
+            assert set(change.culprits) <= set(names)
+        arrays = (spoiled.log.time, spoiled.log.q, spoiled.log.tau)
+        assert len({len(array) for array in arrays}) == 1
+        assert spoiled.log.q.shape[1] == spoiled.log.tau.shape[1] == 6
+        assert any(
+            not np.array_equal(new, old)
+            for new, old in zip(arrays, (log.time, log.q, log.tau))
+        )
+    assert len(kinds) > 25

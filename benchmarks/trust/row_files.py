@@ -33,6 +33,10 @@ class RowFile:
     def __getitem__(self, key: str) -> Row:
         return self._rows[key]
 
+    def rows(self) -> list[Row]:
+        """Return all rows."""
+        return [*self._rows.values()]
+
     def add(self, row: Row) -> None:
         """Keep a row, and write it to the end of the file."""
         self._rows[row["key"]] = row
