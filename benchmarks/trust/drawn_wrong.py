@@ -201,6 +201,19 @@ def ask_right(folder: Path, model: Path, log: Path, options: Sequence[str]) -> S
 # ---- simulated arms
 
 
+def bare_models(names: Sequence[str], models: Path, folder: Path) -> dict[str, Path]:
+    """Return model files of arms without shapes, written in a folder.
+
+    Meshes would take gigabytes with all scenes that are kept.
+    """
+    paths = {}
+    for name in names:
+        text = bare_model_text(model_path(name, models, folder))
+        paths[name] = folder / f"{Path(name).stem}_bare.xml"
+        paths[name].write_text(text)
+    return paths
+
+
 @lru_cache(maxsize=48)
 def scene_of(path: Path, arm_name: str, duration: float, seed: int) -> Scene:
     """Return an arm that differs from a model file, with a right log of it."""
@@ -587,7 +600,7 @@ def main() -> int:
     if options.right is not None:
         classes = ("used", "too short", "doubted", "refused", "crashed")
     with tempfile.TemporaryDirectory() as name:
-        paths = {n: model_path(n, options.models.resolve(), Path(name)) for n in names}
+        paths = bare_models(names, options.models.resolve(), Path(name))
         real = None if options.real is None else options.real.resolve()
         task = Task(seed, paths, real, options.right is not None)
         found = list(run_cases(task, count, kept, options.jobs))
