@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
-import signal
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from benchmarks.trust.ablated_code import Notes, ablations_of, read_folder, rewrite
-from benchmarks.trust.answers import Stopped, run_command
-from benchmarks.trust.drawn_changes import Subject, draw_changes
 from rigs.files.page_tables import PageTable
-from rigs.files.places import GUESS, ROOT
-from robot_sysid.records import Recording
+from rigs.files.places import ROOT
 
 FOLDER = ROOT / "benchmarks"
 PAGE = (FOLDER / "README.md").read_text(encoding="utf-8")
@@ -200,117 +194,3 @@ def test_a_table_is_printed_and_where_asked_for_in_its_page(
     assert capsys.readouterr().out == "new\nrows\n"
     assert table.read().split() == (["new", "rows"] if is_written else ["old"])
     assert page.read_text().startswith("above\n") and "below" in page.read_text()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_in_a_command_ends_the_benchmark(number, tmp_path):
-    """It is no answer to a log, though the command turns it into an exit code."""
-    handlers = [signal.getsignal(each) for each in (signal.SIGALRM, number)]
-    signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
-    signal.setitimer(signal.ITIMER_REAL, 0.2)
-    try:
-        with pytest.raises(Stopped) as stopped:
-            run_command(GUESS, "--output-dir", tmp_path)
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, handlers[0])
-    assert stopped.value.code == 128 + number
-    assert signal.getsignal(number) is handlers[1]
-
-
-def test_drawn_changes_are_those_of_their_seed_and_change_the_log():
-    """Each of them, of any log, keeps the number of joints and as many rows of each quantity."""
-    rng = np.random.default_rng(0)
-    time = 0.01 * np.arange(400)
-    q = np.cumsum(rng.standard_normal((400, 6)), axis=0) / 20.0
-    log = Recording(time, q, None, rng.standard_normal((400, 6)))
-    names = tuple(f"joint{number}" for number in range(6))
-    subject = Subject(names, log, np.ones(6))
-    kinds = set()
-    for seed in range(100):
-        twice = [draw_changes(np.random.default_rng(seed), subject) for _ in range(2)]
-        words = [[change.words for change in changes] for changes in twice]
-        assert words[0] == words[1]
-        spoiled = subject
-        for change in twice[0]:
-            spoiled = change.spoil(spoiled)
-            kinds.add(change.kind)
-            assert set(change.culprits) <= set(names)
-        arrays = (spoiled.log.time, spoiled.log.q, spoiled.log.tau)
-        assert len({len(array) for array in arrays}) == 1
-        assert spoiled.log.q.shape[1] == spoiled.log.tau.shape[1] == 6
-        assert any(
-            not np.array_equal(new, old)
-            for new, old in zip(arrays, (log.time, log.q, log.tau))
-        )
-    assert len(kinds) > 25
-
-
-JUDGING = """
-from dataclasses import dataclass
-from enum import Enum
-
-
-class Level(Enum):
-    REFUSES = "refuses"
-    SAYS = "says"
-
-
-@dataclass(frozen=True)
-class Fault:
-    name: str
-    level: Level
-
-
-LIMIT = 3.0
-FAULTS = (Fault("first", Level.SAYS), Fault("second", Level.REFUSES))
-
-
-def judge(size, is_known):
-    if size > LIMIT and not is_known:
-        return [Level.REFUSES, *(row.level for row in FAULTS if row.name != "first")]
-    return [] if is_known or size < 100.0 else [Level.SAYS]
-"""
-"""A module whose conditions are taken out."""
-
-
-def test_each_condition_is_taken_out_alone_where_it_makes_a_difference(
-    tmp_path, monkeypatch
-):
-    """What changes a result is noticed, and only what is active changes one."""
-    folder = tmp_path / "made_up_judging"
-    folder.mkdir()
-    (folder / "__init__.py").write_text(JUDGING)
-    monkeypatch.syspath_prepend(tmp_path)
-    sources = read_folder("made_up_judging")
-    judge = sources[0].module.judge
-    cases = [(5.0, False), (5.0, True), (1.0, False), (200.0, True)]
-    expected = [judge(*case) for case in cases]
-    chosen = [*ablations_of(sources)]
-    seen = []
-    notes = Notes(seen.append)
-    rewrite(sources, notes)
-    changing = []
-    noticed = []
-    for case, result in zip(cases, expected):
-        notes.noticed.clear()
-        seen.clear()
-        assert judge(*case) == result
-        noticed.append({(each.what, each.way) for each in chosen if each.key in seen})
-        changes = set()
-        for ablation in chosen:
-            notes.active = ablation.key
-            if judge(*case) != result:
-                changes.add((ablation.what, ablation.way))
-            notes.active = ""
-        changing.append(changes)
-    assert all(changes <= seen for changes, seen in zip(changing, noticed))
-    assert ("and not is_known", "dropped") in changing[1]
-    assert ("and size > LIMIT", "dropped") in changing[2]
-    assert ("or is_known", "dropped") in changing[3]
-    row = ("second: Level.REFUSES", "dropped")
-    limit = ("LIMIT = 3", "30")
-    level = ("Level.REFUSES", "only says")
-    first = ("if row.name != 'first'", "dropped")
-    assert {row, limit, level, first} <= changing[0]
-    assert ("LIMIT = 3", "0") not in noticed[0]
