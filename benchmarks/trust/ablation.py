@@ -15,9 +15,10 @@ judges on without it, ``--jobs`` at once. What makes no difference anywhere cost
 it in one log takes ten to forty minutes of a core: ``--most 3`` tries each in three logs of each
 table only in which it makes a difference to a condition.
 
-Counted are logs whose class changes: right ones used or accused; wrong ones named rightly, doubted,
-silent, misnamed. ``--write`` writes the table to ablation.md beside this script, what changes no
-line first. FILE keeps the logs that are done; a run that was stopped goes on with the others.
+Counted are logs whose class changes: right ones used or accused; wrong ones stopped and named
+rightly, doubted, or misnamed, and used with a note that names what is wrong, or silently.
+``--write`` writes the table to ablation.md beside this script after each log, what changes no line
+first. FILE keeps the logs that are done; a run that was stopped goes on with the others.
 """
 
 from __future__ import annotations
@@ -81,7 +82,15 @@ from robot_sysid.records.messages import Progress
 PAGE = Path(__file__).with_suffix(".md")
 KINDS = ("operand", "test", "filter", "level", "constant", "row")
 TABLES = ("real", "wrong", "odd")
-RANKS = {"used": 1, "accused": 0, "rightly": 2, "doubt": 1, "silent": 0, "misnamed": 0}
+RANKS = {
+    "used": 1,
+    "accused": 0,
+    "rightly": 2,
+    "doubt": 1,
+    "noted": 1,
+    "silent": 0,
+    "misnamed": 0,
+}
 """Class to how good it is."""
 FAILED = ("crashed", "too slow")
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
@@ -264,7 +273,9 @@ def class_of(line: Line, found: Sequence[dict[str, Any]]) -> str:
         return "accused" if names - {"too-little"} else "used"
     said = Said(tuple(found), 2 if stops else 0)
     name = classify(said, line.changes, line.robot.joint_names, False)
-    return "silent" if name == "harmless" else name
+    if name == "crashed" or stops:
+        return name
+    return "noted" if name == "rightly" else "silent"
 
 
 # ---- processes
@@ -580,7 +591,7 @@ def main() -> int:
                 judged.append(kept[key])
                 print(log_line(kept[key]), flush=True)
                 if options.write:
-                    write_page(chosen, judged)
+                    write_page(chosen, judged, options)
     found = list(rows_of_ablations(chosen, judged))
     for row in found:
         if change_text(row) != "no line":
@@ -590,10 +601,16 @@ def main() -> int:
     return 0
 
 
-def write_page(chosen: Sequence[Ablation], judged: Sequence[Row]) -> None:
+def write_page(
+    chosen: Sequence[Ablation], judged: Sequence[Row], options: argparse.Namespace
+) -> None:
     """Write the page of the logs that were judged so far."""
     found = list(rows_of_ablations(chosen, judged))
-    text = "\n".join(page_lines(found, judged, "python -m benchmarks.trust.ablation"))
+    given = (
+        f"--kinds {' '.join(options.kinds)} --most {options.most} --seed {options.seed}"
+    )
+    command = f"python -m benchmarks.trust.ablation {given}"
+    text = "\n".join(page_lines(found, judged, command))
     PAGE.write_text(f"{text}\n", encoding="utf-8")
 
 
