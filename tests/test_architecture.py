@@ -29,7 +29,7 @@ LAYERS = (
     "servo",
     "export",
     "config",
-    "diagnosis",
+    "faults",
     "solver",
     "motion",
     "report",

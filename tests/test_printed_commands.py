@@ -36,7 +36,7 @@ from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.next_steps import STEPS
 from robot_sysid.records import Motion, Recording
-from tests.diagnosis.conftest import FOUR_AXES, JOINT
+from tests.faults.conftest import FOUR_AXES, JOINT
 from tests.test_architecture import nodes_of, package_sources
 
 OPTION = re.compile(r"--[a-z][a-z-]*[a-z]")
@@ -380,7 +380,7 @@ SITUATIONS = {
         log_with(lambda log: replace(log, q=np.degrees(log.q), qd=None)),
     ),
     "small degrees": Situation(
-        ("diagnosis.columns --units",), "log log.csv arm.xml", small_motion_in_degrees
+        ("faults.readings --units",), "log log.csv arm.xml", small_motion_in_degrees
     ),
     "strange titles": Situation(
         ("logs.reader --columns",),
@@ -401,22 +401,22 @@ SITUATIONS = {
         ("logs.column_map --torque-from",), "log log.csv arm.xml", servos
     ),
     "torque sign": Situation(
-        ("diagnosis.refusal --columns",),
+        ("faults.refusal --columns",),
         "log log.csv arm.xml",
         log_with(lambda log: replace(log, tau=log.tau * [1.0, 1.0, -1.0, 1.0])),
     ),
     "torques of another size": Situation(
-        ("diagnosis.scales --torque-scale", "diagnosis.scales --mass-scale"),
+        ("faults.scales --torque-scale", "faults.scales --mass-scale"),
         "log log.csv arm.xml",
         log_with(lambda log: replace(log, tau=0.5 * log.tau)),
     ),
     "currents as torques": Situation(
-        ("diagnosis.scales --torque-scale", "step: torque scales unknown"),
+        ("faults.scales --torque-scale", "step: torque scales unknown"),
         "log log.csv arm.xml",
         arm_with_currents,
     ),
     "on a wall": Situation(
-        ("diagnosis.column_search --gravity",), "log log.csv arm.xml", arm_on_a_wall
+        ("faults.reading_search --gravity",), "log log.csv arm.xml", arm_on_a_wall
     ),
     "noisy log": Situation(
         ("motion.promise --duration",),
@@ -431,7 +431,7 @@ SITUATIONS = {
         arm_with_currents,
     ),
     "heavy link": Situation(
-        ("diagnosis.misfits --accept", "diagnosis.scales --mass-scale"),
+        ("faults.misfits --accept", "faults.scales --mass-scale"),
         "log log.csv arm.xml",
         a_link_too_heavy,
     ),

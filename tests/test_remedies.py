@@ -23,7 +23,7 @@ from robot_sysid.commands import COMMANDS as NAMES
 from robot_sysid.commands.arguments import Parser
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from tests.diagnosis.conftest import FOUR_AXES, JOINT
+from tests.faults.conftest import FOUR_AXES, JOINT
 from tests.test_architecture import nodes_of, package_sources
 
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")

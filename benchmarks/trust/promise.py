@@ -56,14 +56,14 @@ from rigs.arms.wrong_arms import RATE, WrongArm, draw_arm, noise_samples
 from rigs.files.page_tables import PageTable
 from rigs.files.places import DATA, MODELS, ROOT
 from robot_sysid.api.calls import identify, read_log
-from robot_sysid.diagnosis.gate import judge as diagnose
-from robot_sysid.diagnosis.gate import usable_fit
 from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.terms import DELAY
+from robot_sysid.faults.gate import judge as diagnose
+from robot_sysid.faults.gate import usable_fit
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.motion.elsewhere import made_up_motions, within_range
 from robot_sysid.motion.promise import grams, knowledge_of

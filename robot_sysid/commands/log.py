@@ -27,9 +27,9 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     SysidError where a finding is not accepted; it is raised when all is printed.
     """
     from robot_sysid.config import with_scale_prior
-    from robot_sysid.diagnosis.gate import judge, require_acceptable
     from robot_sysid.estimate.options import EstimationOptions
     from robot_sysid.estimate.questions import Question
+    from robot_sysid.faults.gate import judge, require_acceptable
     from robot_sysid.logs.reader import open_logs
     from robot_sysid.parser import load_robot_model
 

@@ -538,7 +538,7 @@ def cut_at_lost_rows(
 
     There, several joints jump at once, by far more than in any step beside. What is on both sides
     is right; only the time between them is not known. Of one joint that jumps alone the zero may
-    have been set. Where there are many such places, the clock is judged (``diagnosis.samples``).
+    have been set. Where there are many such places, the clock is judged (``faults.samples``).
     """
     step = np.diff(recording.time)
     speed = np.abs(np.diff(recording.q, axis=0)) / step[:, None]
@@ -551,7 +551,7 @@ def cut_at_lost_rows(
         before = np.maximum(before, speed[BESIDE - back : len(speed) - BESIDE - back])
         beside = np.maximum(beside, speed[BESIDE + back : len(speed) - BESIDE + back])
     beside = np.maximum(np.maximum(before, beside), usual)
-    # What repeats its value for a while is left out (``diagnosis.stretches``).
+    # What repeats its value for a while is left out (``faults.stretches``).
     jumps = (speed[middle] > JUMP_OVER_BESIDE * beside) & (before > 0.0)
     is_gap = step[middle] > GAP_STEPS * np.median(step)
     places = BESIDE + np.flatnonzero((np.sum(jumps, axis=1) > 1) & ~is_gap)
@@ -572,7 +572,7 @@ def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> Non
     threshold = jump_sizes(recording)[:, 0]
     for name, q in zip(recording.joint_names, recording.q.T):
         step = np.abs(np.diff(q))
-        # What repeats its value for a while is left out (``diagnosis.stretches``).
+        # What repeats its value for a while is left out (``faults.stretches``).
         is_jump = (step > threshold) & (np.roll(step, 1) > 0.0)
         if np.any(is_jump):
             where = table.cite(lines[1:][is_jump])

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, with_scale_prior
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.gate import judge, require_acceptable, usable_fit
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import ArmTerms
+from robot_sysid.faults import Finding
+from robot_sysid.faults.gate import judge, require_acceptable, usable_fit
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.changes import (

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, SelfTestConfig
-from robot_sysid.diagnosis.gate import accepted_doubts, judge, usable_fit
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
@@ -20,6 +19,7 @@ from robot_sysid.estimate.held_out import prediction_error
 from robot_sysid.estimate.payload import written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
+from robot_sysid.faults.gate import accepted_doubts, judge, usable_fit
 from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import find_flange

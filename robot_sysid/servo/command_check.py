@@ -38,7 +38,7 @@ def check_commands(logs: Sequence[Recording], joint_names: Sequence[str]) -> Non
 
     They follow with a delay, correlated, by about as much, from about the same zero. Commands that
     equal the positions were copied from them. No other command reads commands, so that this check
-    is no part of the gate (``diagnosis.gate``).
+    is no part of the gate (``faults.gate``).
     """
     for log in logs:
         period = sampling_period(log.time)

@@ -13,9 +13,9 @@ from rigs.arms import small_arms
 from rigs.arms.core_fits import filter_logs, fit_recordings
 from rigs.files.command_line import OUT
 from rigs.logs.measured_logs import log_of, plan_of
-from robot_sysid.diagnosis.fault_columns import fault_columns
-from robot_sysid.diagnosis.faults import explanations
-from robot_sysid.diagnosis.gate import slow_findings
+from robot_sysid.faults.columns import fault_columns
+from robot_sysid.faults.gate import slow_findings
+from robot_sysid.faults.table import explanations
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.fault_names import FaultName

@@ -13,11 +13,11 @@ from rigs.arms.small_arms import SEEDS
 from rigs.logs.measured_logs import XML, log_of
 from rigs.logs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 from robot_sysid import spatial
-from robot_sysid.diagnosis.gate import judge
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.terms import ArmTerms
+from robot_sysid.faults.gate import judge
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_logs
 from robot_sysid.logs.text import write_measurement_csv

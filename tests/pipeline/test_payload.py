@@ -8,10 +8,10 @@ import pytest
 from rigs.logs.log_files import open_log
 from rigs.logs.measured_logs import XML, log_of
 from robot_sysid.config import PayloadConfig
-from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.payload import payload_estimate
 from robot_sysid.estimate.questions import Question
+from robot_sysid.faults.gate import judge
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import stages

@@ -45,7 +45,7 @@ _LEAST_RESOLUTION = 50.0
 # Variance of an error that is uniform within a step, over the square of the step.
 _STEP_VARIANCE = 1.0 / 12.0
 # Factor of velocities from which on they are not those of the positions, as in
-# ``diagnosis.log_checks``: a low-pass of 3 Hz takes 3 %, steps of the velocity another few.
+# ``faults.samples``: a low-pass of 3 Hz takes 3 %, steps of the velocity another few.
 _LEAST_RATIO = 0.1
 # Least velocity (root mean square) that is judged, over the step in which it is reported.
 _LEAST_STEPS = 5.0

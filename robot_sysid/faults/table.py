@@ -1,12 +1,12 @@
 """The table of faults of the torque: what may be wrong with a log or its model, a row each.
 
 A fault is an effect on columns of the fit's own rows, with a wide prior. Most have columns in every
-fit: a scale of torques, a zero, a tilt, a body. The others get theirs from ``fault_columns``. Where
+fit: a scale of torques, a zero, a tilt, a body. The others get theirs from ``columns``. Where
 a fault acts at one joint, in one log or more and more, its effect says so, and needs no column of
 its own. To add a fault, add a row to ``FAULTS`` and, where no place of another row fits, a function
 that yields the places at which it may be.
 
-Mistakes that no small change explains (signs, exchanged joints, units) are rows of ``columns``.
+Mistakes that no small change explains (signs, exchanged joints, units) are rows of ``readings``.
 
 Throughout, J is the number of joints, B that of blocks.
 """
@@ -20,7 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.diagnosis.fault_columns import (
+from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.offers import Effect
+from robot_sysid.estimate.terms import SCALES
+from robot_sysid.faults.columns import (
     ECCENTRIC_SPRING,
     FORCE,
     HUM,
@@ -30,12 +35,7 @@ from robot_sysid.diagnosis.fault_columns import (
     SPRING,
     WEIGHT,
 )
-from robot_sysid.diagnosis.plausibility import typical_torque
-from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
-from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
-from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.offers import Effect
-from robot_sysid.estimate.terms import SCALES
+from robot_sysid.faults.plausibility import typical_torque
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, position_unit, torque_unit
@@ -69,7 +69,7 @@ class Fault:
     In text and remedy, ``{value}`` stands for the size of the number with its standard error,
     ``{inverse}`` for 1 / sqrt(1 + value), by which time has to be multiplied where inertial torque
     is off by the value, and ``{joint}`` and the like for words of its place. A word of
-    ``scores.BY_SIGN``, such as ``{more}``, becomes its opposite where the number is negative. Any
+    ``judge.BY_SIGN``, such as ``{more}``, becomes its opposite where the number is negative. Any
     other field is the name of an option.
 
     Attributes:
@@ -141,7 +141,7 @@ SHAPES = (FaultName.FORCE, FaultName.CONTACT, FaultName.CROSSTALK)
 
 
 def explanations(fitted: Fit) -> list[Explanation]:
-    """Return every fault at every place, for a fit that has the columns of ``fault_columns``."""
+    """Return every fault at every place, for a fit with the columns of ``columns.fault_columns``."""
     every = [(fault, list(fault.places(fitted, fault))) for fault in FAULTS]
     logs = dict.fromkeys(fitted.sums.logs)
     in_logs = []

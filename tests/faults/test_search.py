@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from robot_sysid.diagnosis.fault_columns import fault_columns
-from robot_sysid.diagnosis.faults import explanations
-from robot_sysid.diagnosis.plausibility import is_plausible
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
+from robot_sysid.faults.columns import fault_columns
+from robot_sysid.faults.plausibility import is_plausible
+from robot_sysid.faults.table import explanations
 from robot_sysid.records.levels import CLEAR
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.process import low_pass_recordings
-from tests.diagnosis.conftest import findings_of, found_in, judged
+from tests.faults.conftest import findings_of, found_in, judged
 
 QUESTION = Question(EstimationOptions())
 

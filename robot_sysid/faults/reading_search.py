@@ -18,8 +18,22 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.columns import (
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    gravity_vector,
+    turn_gravity,
+    with_gravity,
+)
+from robot_sysid.estimate.choose import solve_question
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.offers import Effect, Offers
+from robot_sysid.estimate.questions import Question, arm_question
+from robot_sysid.estimate.terms import MOTORS
+from robot_sysid.faults import Finding
+from robot_sysid.faults.columns import INERTIAL, fault_columns
+from robot_sysid.faults.plausibility import fits, is_foreign, model_torque
+from robot_sysid.faults.reading_scores import ReadingScores, likelihood
+from robot_sysid.faults.readings import (
     ANY_ANGLES,
     OF_COLUMNS,
     ZERO_STEP,
@@ -34,20 +48,6 @@ from robot_sysid.diagnosis.columns import (
     zero_of,
     zeros,
 )
-from robot_sysid.diagnosis.fault_columns import INERTIAL, fault_columns
-from robot_sysid.diagnosis.plausibility import fits, is_foreign, model_torque
-from robot_sysid.diagnosis.reading_scores import ReadingScores, likelihood
-from robot_sysid.dynamics.inverse_dynamics import (
-    TILT_NAMES,
-    gravity_vector,
-    turn_gravity,
-    with_gravity,
-)
-from robot_sysid.estimate.choose import solve_question
-from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.offers import Effect, Offers
-from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.terms import MOTORS
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL

@@ -2,7 +2,7 @@
 
 The fit of a log is judged as it stands. Where it does not fit, mistakes of its columns and torque
 scales are tried first; then faults of the table are offered to the fit of the log as it came, and
-of the likeliest correction of it. A fault is named when it explains (``scores``); otherwise the log
+of the likeliest correction of it. A fault is named when it explains (``judge``); otherwise the log
 does not fit: how much is unexplained, at which joints, and what is missing there.
 """
 
@@ -11,18 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.column_search import (
-    ColumnSearch,
-    Correction,
-    Evidence,
-    column_correction,
-    sign_correction,
-    unit_correction,
-    zero_correction,
-)
-from robot_sysid.diagnosis.columns import OF_COLUMNS
-from robot_sysid.diagnosis.misfits import (
+from robot_sysid.estimate.choose import answer_of
+from robot_sysid.estimate.contacts import LITTLE
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.faults import Finding
+from robot_sysid.faults.judge import Score
+from robot_sysid.faults.misfits import (
     delay_findings,
     external_findings,
     friction_findings,
@@ -33,7 +27,7 @@ from robot_sysid.diagnosis.misfits import (
     weight_alone,
     weight_findings,
 )
-from robot_sysid.diagnosis.plausibility import (
+from robot_sysid.faults.plausibility import (
     drives,
     fits,
     is_foreign,
@@ -41,13 +35,19 @@ from robot_sysid.diagnosis.plausibility import (
     is_plausible,
     is_sibling,
 )
-from robot_sysid.diagnosis.scales import ScaleCorrections, TorqueScales, odd_unit
-from robot_sysid.diagnosis.scores import Score
-from robot_sysid.diagnosis.search import OF_SCALES, Search, name_faults, search_faults
-from robot_sysid.diagnosis.shares import shares_of
-from robot_sysid.estimate.choose import answer_of
-from robot_sysid.estimate.contacts import LITTLE
-from robot_sysid.estimate.fit import Fit
+from robot_sysid.faults.reading_search import (
+    ColumnSearch,
+    Correction,
+    Evidence,
+    column_correction,
+    sign_correction,
+    unit_correction,
+    zero_correction,
+)
+from robot_sysid.faults.readings import OF_COLUMNS
+from robot_sysid.faults.scales import ScaleCorrections, TorqueScales, odd_unit
+from robot_sysid.faults.search import OF_SCALES, Search, name_faults, search_faults
+from robot_sysid.faults.shares import shares_of
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR
 from robot_sysid.records.messages import Level
@@ -102,7 +102,7 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
     """Return what is wrong with a log or its model.
 
     Args:
-        fitted: the fit of the log, with the columns of ``fault_columns``.
+        fitted: the fit of the log, with the columns of ``readings``.
         evidence: what is known beside its rows.
     """
     columns = ColumnSearch(fitted)

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from rigs.arms.wrong_arms import truth_of
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.gate import (
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.faults import Finding
+from robot_sysid.faults.gate import (
     accepted_doubts,
     in_order,
     judge,
     require_acceptable,
     usable_fit,
 )
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.estimate.questions import Question
 from robot_sysid.records import Motion, Recording
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress
-from tests.diagnosis.conftest import findings_of, found_in, read_log, slow
+from tests.faults.conftest import findings_of, found_in, read_log, slow
 
 
 @pytest.mark.slow

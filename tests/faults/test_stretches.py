@@ -13,11 +13,11 @@ import robot_sysid
 from rigs.arms import small_arms
 from rigs.arms.motions import sampled, smooth_step
 from rigs.logs.log_files import JOINTS
-from robot_sysid.diagnosis.stretches import MANY_VALUES, failed_sensors, leave_out
+from robot_sysid.faults.stretches import MANY_VALUES, failed_sensors, leave_out
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.frozen import Stretch, equal_runs
-from tests.diagnosis.conftest import (
+from tests.faults.conftest import (
     FOUR_AXES,
     JOINT,
     NOISY,

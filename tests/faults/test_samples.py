@@ -16,9 +16,11 @@ from rigs.arms import small_arms
 from rigs.arms.wrong_arms import ARMS, DEVIATIONS, draw_arm, truth_of
 from rigs.files.places import MODELS as public_models
 from rigs.logs.log_files import JOINTS, arm_of
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.gate import TRYING, require_acceptable
-from robot_sysid.diagnosis.samples import (
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, with_gravity
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.faults import Finding
+from robot_sysid.faults.gate import TRYING, require_acceptable
+from robot_sysid.faults.samples import (
     clock_findings,
     motion_sign_findings,
     saturation_findings,
@@ -27,14 +29,12 @@ from robot_sysid.diagnosis.samples import (
     velocity_notes,
     velocity_ratios,
 )
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, with_gravity
-from robot_sysid.errors import InputError, SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests.diagnosis.conftest import (
+from tests.faults.conftest import (
     FOUR_AXES,
     JOINT,
     NOISY,

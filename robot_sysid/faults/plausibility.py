@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
@@ -23,6 +22,7 @@ from robot_sysid.estimate.terms import (
     ArmTerms,
     Term,
 )
+from robot_sysid.faults.columns import INERTIAL, WEIGHT
 from robot_sysid.records import Array
 from robot_sysid.records.levels import SURE
 

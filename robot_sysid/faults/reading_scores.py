@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.diagnosis.columns import Reading
 from robot_sysid.estimate.fit import Equations, equations_of, solution
 from robot_sysid.estimate.rows import Rows, of_rounding, row_chunks
 from robot_sysid.estimate.terms import ArmTerms, Point, Term
+from robot_sysid.faults.readings import Reading
 from robot_sysid.records import Array
 from robot_sysid.records.parameters import Parameter
 from robot_sysid.signals.process import FilteredRecording

@@ -14,9 +14,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.stretches import MANY_VALUES, failed_sensors, leave_out
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.faults import Finding
+from robot_sysid.faults.stretches import MANY_VALUES, failed_sensors, leave_out
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, count_text, percent, torque_unit

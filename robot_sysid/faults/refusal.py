@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.faults import ColumnCorrection, Finding
 from robot_sysid.logs.declarations import column_text, declarations
 from robot_sysid.records import Column, ColumnMap, Recording
 from robot_sysid.records.fault_names import FaultName

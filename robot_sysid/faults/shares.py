@@ -15,17 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis.fault_columns import OTHER_WEIGHT
-from robot_sysid.diagnosis.plausibility import (
+from robot_sysid.estimate.fit import Fit, Problem
+from robot_sysid.estimate.links import reference_links
+from robot_sysid.estimate.terms import Term
+from robot_sysid.faults.columns import OTHER_WEIGHT
+from robot_sysid.faults.judge import in_sums_alone
+from robot_sysid.faults.plausibility import (
     LAST_LINKS,
     LEAST_WEIGHED,
     PLAIN_FRICTION,
     terms_of,
 )
-from robot_sysid.diagnosis.scores import in_sums_alone
-from robot_sysid.estimate.fit import Fit, Problem
-from robot_sysid.estimate.links import reference_links
-from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.parameters import Parameter
@@ -130,7 +130,7 @@ def shares_of(fitted: Fit) -> Shares:
     """Return what the torque of a log has of the links before the last one.
 
     Args:
-        fitted: the fit of the log, with the columns of ``fault_columns``.
+        fitted: the fit of the log, with the columns of ``readings``.
     """
     arm = fitted.arm
     joints = arm.joints

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from rigs.arms.small_arms import robot_of, serial_arm
-from robot_sysid.diagnosis.column_search import Evidence
-from robot_sysid.diagnosis.scales import TorqueScales, common_finding
+from robot_sysid.faults.reading_search import Evidence
+from robot_sysid.faults.scales import TorqueScales, common_finding
 from robot_sysid.records import KINDS
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import parse_factors
-from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, found_in
+from tests.faults.conftest import FOUR_AXES, JOINT, findings_of, found_in
 
 
 def scales_of(factor, weights):

@@ -1,7 +1,7 @@
 """Checks of logs against the arm's model: the record of one finding.
 
 A fault of the torque is a row of the table in ``faults``; a mistake in the columns of a log, one in
-``columns``. ``search`` is the one loop that offers faults to the fit of a log, ``findings`` the
+``readings``. ``search`` is the one loop that offers faults to the fit of a log, ``findings`` the
 order in which everything is asked, ``gate`` the one entrance of all commands.
 """
 

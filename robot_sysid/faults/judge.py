@@ -18,8 +18,6 @@ from functools import cached_property
 
 import numpy as np
 
-from robot_sysid.diagnosis.faults import Explanation, explanations
-from robot_sysid.diagnosis.plausibility import EXACT
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.rows import Rows, Sums
@@ -31,6 +29,8 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
+from robot_sysid.faults.plausibility import EXACT
+from robot_sysid.faults.table import Explanation, explanations
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED

@@ -10,27 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.column_search import Evidence
-from robot_sysid.diagnosis.fault_columns import INERTIAL, WEIGHT
-from robot_sysid.diagnosis.faults import TIME, WHOLE_CLOCK, at_inertia
-from robot_sysid.diagnosis.plausibility import (
-    PLAIN_FRICTION,
-    SMALLER,
-    friction_share,
-    is_plausible,
-    is_sibling,
-    last_mass,
-    model_misfit,
-    model_torque,
-    regression,
-    terms_of,
-    typical_ratio,
-    typical_torque,
-)
-from robot_sysid.diagnosis.scales import ScaleCorrections, little_weight, torque_scales
-from robot_sysid.diagnosis.search import Search
-from robot_sysid.diagnosis.shares import LOST, Shares
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.estimate.choose import (
     centre_off_model,
@@ -44,6 +23,27 @@ from robot_sysid.estimate.links import CENTRE, MASS, OddNumber
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES, ZEROS
+from robot_sysid.faults import Finding
+from robot_sysid.faults.columns import INERTIAL, WEIGHT
+from robot_sysid.faults.plausibility import (
+    PLAIN_FRICTION,
+    SMALLER,
+    friction_share,
+    is_plausible,
+    is_sibling,
+    last_mass,
+    model_misfit,
+    model_torque,
+    regression,
+    terms_of,
+    typical_ratio,
+    typical_torque,
+)
+from robot_sysid.faults.reading_search import Evidence
+from robot_sysid.faults.scales import ScaleCorrections, little_weight, torque_scales
+from robot_sysid.faults.search import Search
+from robot_sysid.faults.shares import LOST, Shares
+from robot_sysid.faults.table import TIME, WHOLE_CLOCK, at_inertia
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED

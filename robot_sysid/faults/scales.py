@@ -20,16 +20,14 @@ from itertools import compress
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.column_search import (
-    Correction,
-    Evidence,
-    gain_between,
-    part_of_rows,
-    refit,
-)
-from robot_sysid.diagnosis.columns import Reading
-from robot_sysid.diagnosis.plausibility import (
+from robot_sysid.estimate.fit import Fit, LeftOut, Problem
+from robot_sysid.estimate.links import EXPECTED
+from robot_sysid.estimate.offers import Effect
+from robot_sysid.estimate.questions import arm_question
+from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
+from robot_sysid.faults import Finding
+from robot_sysid.faults.judge import with_effects
+from robot_sysid.faults.plausibility import (
     LARGER,
     SMALLER,
     dry_friction,
@@ -37,12 +35,14 @@ from robot_sysid.diagnosis.plausibility import (
     model_torque,
     weight_ratios,
 )
-from robot_sysid.diagnosis.scores import with_effects
-from robot_sysid.estimate.fit import Fit, LeftOut, Problem
-from robot_sysid.estimate.links import EXPECTED
-from robot_sysid.estimate.offers import Effect
-from robot_sysid.estimate.questions import arm_question
-from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
+from robot_sysid.faults.reading_search import (
+    Correction,
+    Evidence,
+    gain_between,
+    part_of_rows,
+    refit,
+)
+from robot_sysid.faults.readings import Reading
 from robot_sysid.model.stated import CENTRE, MASS
 from robot_sysid.model.units import mass_unit
 from robot_sysid.records import Array, RobotModel

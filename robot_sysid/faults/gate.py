@@ -13,25 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.column_search import Evidence
-from robot_sysid.diagnosis.columns import OF_COLUMNS
-from robot_sysid.diagnosis.fault_columns import fault_columns
-from robot_sysid.diagnosis.findings import UNMEASURED, findings
-from robot_sysid.diagnosis.misfits import lost_links
-from robot_sysid.diagnosis.refusal import refuse_for
-from robot_sysid.diagnosis.samples import (
-    check_recording,
-    time_share,
-    velocity_notes,
-    velocity_ratios,
-)
-from robot_sysid.diagnosis.stretches import SLOWEST, stretch_findings
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.choose import answer_of, solve_question
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import Priors
 from robot_sysid.estimate.questions import Question
+from robot_sysid.faults import Finding
+from robot_sysid.faults.columns import fault_columns
+from robot_sysid.faults.findings import UNMEASURED, findings
+from robot_sysid.faults.misfits import lost_links
+from robot_sysid.faults.reading_search import Evidence
+from robot_sysid.faults.readings import OF_COLUMNS
+from robot_sysid.faults.refusal import refuse_for
+from robot_sysid.faults.samples import (
+    check_recording,
+    time_share,
+    velocity_notes,
+    velocity_ratios,
+)
+from robot_sysid.faults.stretches import SLOWEST, stretch_findings
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress, position_unit

@@ -10,9 +10,9 @@ import pytest
 from rigs.arms import small_arms
 from rigs.arms.wrong_arms import truth_of
 from rigs.logs.log_files import motion
-from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
+from robot_sysid.faults.gate import judge
 from robot_sysid.records.messages import Progress
 
 FOUR_AXES = (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X)

@@ -2,7 +2,7 @@
 
 Signs, exchanged joints, turned zeros, degrees, another mounting of the base and time by another
 rate change a log by steps, not by a small amount, so that they have no column in the fit: each is
-another reading of the log. ``column_search`` finds the readings that fit.
+another reading of the log. ``reading_search`` finds the readings that fit.
 
 Throughout, n is the number of joints.
 """
@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.diagnosis import ColumnCorrection
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.rows import Rows
+from robot_sysid.faults import ColumnCorrection
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.signals.process import FilteredRecording

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.column_search import Correction, Evidence
-from robot_sysid.diagnosis.plausibility import is_plausible
-from robot_sysid.diagnosis.scales import ScaleCorrections
-from robot_sysid.diagnosis.scores import Score, asked_names, candidates, fit_with
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect
+from robot_sysid.faults import Finding
+from robot_sysid.faults.judge import Score, asked_names, candidates, fit_with
+from robot_sysid.faults.plausibility import is_plausible
+from robot_sysid.faults.reading_search import Correction, Evidence
+from robot_sysid.faults.scales import ScaleCorrections
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, UNEXPLAINED
 from robot_sysid.records.messages import Level
@@ -34,7 +34,7 @@ class Search:
 
     Attributes:
         start: the log as it was corrected; a correction without findings for the log as it is. Its
-            fit has the columns of ``fault_columns``.
+            fit has the columns of ``readings``.
         current: the fit with all that have joined it.
         rounds: those that won, each with those that tie with it.
         least: what a single fault leaves unexplained, as a share of all torque.

@@ -9,18 +9,18 @@ import pytest
 
 from rigs.arms.synthetic_data import autocorrelated
 from rigs.arms.wrong_arms import MEMORY, link_torque
-from robot_sysid.diagnosis.fault_columns import fault_columns
-from robot_sysid.diagnosis.gate import judge
-from robot_sysid.diagnosis.shares import common_share, shares_of
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
+from robot_sysid.faults.columns import fault_columns
+from robot_sysid.faults.gate import judge
+from robot_sysid.faults.shares import common_share, shares_of
 from robot_sysid.records.arm import KINDS
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress
 from robot_sysid.signals.process import low_pass_recordings
-from tests.diagnosis.conftest import found_in, read_log
+from tests.faults.conftest import found_in, read_log
 
 QUESTION = Question(EstimationOptions())
 

@@ -12,7 +12,6 @@ from rigs.arms.motions import one_at_a_time
 from rigs.arms.wrong_arms import ARMS, draw_arm, link_torque, truth_of
 from rigs.files.places import MODELS
 from robot_sysid import spatial
-from robot_sysid.diagnosis.misfits import lost_links
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -21,14 +20,15 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.estimate.equations.inverse import solve
 from robot_sysid.estimate.quantities import link_estimates
 from robot_sysid.estimate.restricted_fit import errors_of, fit_file
+from robot_sysid.faults.misfits import lost_links
 from robot_sysid.model.bodies import write_body
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Level
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
-from tests.diagnosis.conftest import findings_of, found_in, judged
-from tests.diagnosis.test_gate import swings
+from tests.faults.conftest import findings_of, found_in, judged
+from tests.faults.test_gate import swings
 
 pytestmark = [
     pytest.mark.slow,

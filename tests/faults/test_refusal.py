@@ -11,10 +11,10 @@ import pytest
 
 from rigs.arms import small_arms
 from rigs.logs.log_files import titles_alone
-from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.columns import OF_COLUMNS, mistakes
-from robot_sysid.diagnosis.refusal import refuse_for
 from robot_sysid.errors import ColumnsError
+from robot_sysid.faults import Finding
+from robot_sysid.faults.readings import OF_COLUMNS, mistakes
+from robot_sysid.faults.refusal import refuse_for
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import read_columns
 from robot_sysid.records.fault_names import FaultName

@@ -13,7 +13,7 @@ from rigs.arms.drawn_models import drawn_model
 from rigs.arms.small_arms import robot_of
 from rigs.arms.wrong_arms import link_torque, resting_torque, truth_of
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
-from tests.diagnosis.conftest import findings_of, found_in, slow
+from tests.faults.conftest import findings_of, found_in, slow
 
 
 def of_joint(torque, joint):

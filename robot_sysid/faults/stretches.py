@@ -14,8 +14,8 @@ from itertools import compress
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import Finding
 from robot_sysid.estimate.contacts import MOST_SHARE, MOST_STRETCHES
+from robot_sysid.faults import Finding
 from robot_sysid.records import Array, Recording
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, count_text
