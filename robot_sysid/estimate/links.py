@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid import spatial
 from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
-from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.spatial import N_INERTIAL, ROD_MOMENT
 
 INERTIA_OVER_MASS = 2.0
@@ -88,8 +88,6 @@ upper arm of a UR10e is 0.12 off its maker's own table; of 133 right logs of six
 more than 0.123; a forearm's centre with the wrong sign shows more in 12 of 20, up to 0.43."""
 COMMON_SCALES = (0.1, 0.2, 0.4)
 """Errors that all torques may share, of which the evidence chooses, as shares."""
-SHOWN = 0.5
-"""Least gain in the log evidence at which all torques are taken to be off together."""
 
 
 MASS, CENTRE, _ = KINDS
@@ -401,7 +399,7 @@ def common_scale(evidence: LinkEvidence) -> float:
     gains = np.array(
         [_log_evidence(evidence.with_common(each)) - before for each in COMMON_SCALES]
     )
-    if np.max(gains) <= SHOWN:
+    if np.max(gains) <= CLEAR:
         return 0.0
     probability = np.exp(gains - np.max(gains))
     squares = np.square(COMMON_SCALES)
