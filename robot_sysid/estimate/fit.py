@@ -578,6 +578,12 @@ class Fit(Problem):
         torque = float(np.linalg.norm(self.sums.rms_torque))
         return float(np.linalg.norm(self.unexplained)) / max(torque, 1e-300)
 
+    @property
+    def residual_share(self) -> float:
+        """What a fit leaves of all torque, noise included, root mean square."""
+        left = float(np.sum(self.noise**2 * self.sums.row_counts))
+        return (left / max(float(np.sum(self.sums.squared_torque)), 1e-300)) ** 0.5
+
     def refit(self, terms: Sequence[Term], possible: bool = False) -> Fit:
         """Return the fit of other terms, from this noise on."""
         return self.fit(

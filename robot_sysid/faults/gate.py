@@ -20,10 +20,9 @@ from robot_sysid.estimate.options import Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.faults import Finding
 from robot_sysid.faults.columns import fault_columns
-from robot_sysid.faults.findings import UNMEASURED, findings
+from robot_sysid.faults.findings import findings
 from robot_sysid.faults.misfits import lost_links
 from robot_sysid.faults.reading_search import Evidence
-from robot_sysid.faults.readings import OF_COLUMNS
 from robot_sysid.faults.refusal import refuse_for
 from robot_sysid.faults.samples import (
     check_recording,
@@ -33,7 +32,7 @@ from robot_sysid.faults.samples import (
 )
 from robot_sysid.faults.stretches import SLOWEST, stretch_findings
 from robot_sysid.records import Recording, RobotModel
-from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
 from robot_sysid.records.messages import Level, Progress, position_unit
 from robot_sysid.records.option_fields import SCALE as TORQUE_SCALE
 from robot_sysid.records.option_fields import joint_factors
@@ -48,32 +47,6 @@ from robot_sysid.wording import option_setting
 
 TRYING = "Trying explanations"
 """Label of the progress of the search for faults."""
-DOUBTFUL = (FaultName.MODEL, FaultName.UNEXPLAINED, FaultName.HELD, FaultName.SATURATED)
-"""Faults beside which torque that is left over for a moment says nothing."""
-OF_SAMPLES = (
-    FaultName.TOO_LITTLE,
-    FaultName.CLOCK,
-    FaultName.UNSIGNED,
-    FaultName.HELD,
-    FaultName.SATURATED,
-)
-"""Faults of the samples, which a recording shows without a model."""
-OF_TORQUE = (*UNMEASURED, FaultName.GRAVITY)
-"""Faults of a torque that is none of this arm, or in no known unit."""
-NEEDS = (OF_SAMPLES, OF_TORQUE, (*OF_COLUMNS, FaultName.ZERO, FaultName.DELAY))
-"""Faults by what of a log they need, the least first: its samples, whether its torques are such of
-this arm, its columns. All others need the arm's model to be right. Where two are found, what needs
-less is wrong first, and what needs more may be its consequence."""
-OF_RIGHT_LINKS = (
-    FaultName.MODEL,
-    FaultName.ZERO,
-    FaultName.TILT,
-    FaultName.FORCE,
-    FaultName.CLOCK,
-    FaultName.TORQUE_SCALE,
-)
-"""Faults that show beside the model's links, and only where these are about right: bodies of the
-links' geometry, which may be off by themselves, explain what they would."""
 LEAST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
 LEAST_ROWS = 26
@@ -168,10 +141,11 @@ def judge(
         wrong = [
             each
             for each in wrong
-            if each.about not in OF_RIGHT_LINKS or each.is_common_factor
+            if not each.about.stands_for & StandsFor.LINKS or each.is_common_factor
         ]
     wrong = wrong or [*slow_findings(robot, recordings)]
-    if not any(finding.about in DOUBTFUL for finding in [*found, *wrong]):
+    doubtful = [each.about.stands_for & StandsFor.MOMENT for each in [*found, *wrong]]
+    if not any(doubtful):
         # Contacts that come back are a doubt, unless something else is wrong.
         touched = [each for log in explained.right.recordings for each in log.touched]
         touches = stretch_findings(explained.right.arm.joints, touched)
@@ -246,7 +220,7 @@ def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
     consequence.
     """
     is_doubted = any(
-        each.about in (*OF_SAMPLES, *OF_TORQUE) and each.level is not Level.SAYS
+        each.about.needs <= Needs.TORQUE and each.level is not Level.SAYS
         for each in found
     )
     kept = [
@@ -255,13 +229,7 @@ def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
         if not (is_doubted and each.about is FaultName.MODEL)
         or each.level is not Level.SAYS
     ]
-    return tuple(sorted(kept, key=lambda f: ([*Level].index(f.level), needs(f))))
-
-
-def needs(finding: Finding) -> int:
-    """Return how much of a log a finding needs: its place in ``NEEDS``."""
-    places = (place for place, names in enumerate(NEEDS) if finding.about in names)
-    return next(places, len(NEEDS))
+    return tuple(sorted(kept, key=lambda f: ([*Level].index(f.level), f.about.needs)))
 
 
 def refusals(found: Iterable[Finding]) -> list[Finding]:
@@ -386,8 +354,8 @@ def require_acceptable(
     """
     refused = refusals(found)
     doubts = [f for f in found if f.level is Level.DOUBTS and f.about not in accepted]
-    least = min(map(needs, refused), default=len(NEEDS))
-    earlier = [doubt for doubt in doubts if refused and needs(doubt) < least]
+    least = min((each.about.needs for each in refused), default=Needs.SAMPLES)
+    earlier = [doubt for doubt in doubts if doubt.about.needs < least]
     # A remedy is none where something else is wrong as well.
     corrections = {finding.correction for finding in refused}
     is_one = len(refused) == 1 or (len(corrections) == 1 and None not in corrections)

@@ -29,7 +29,7 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.faults.plausibility import EXACT
+from robot_sysid.faults.plausibility import EXACT, structural
 from robot_sysid.faults.table import Explanation, explanations
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
@@ -133,9 +133,29 @@ class Score:
         explained = np.sum(np.maximum(self.fitted.unexplained**2 - left, 0.0))
         return float(np.sqrt(explained / np.sum(sums.rms_torque**2)))
 
+    @cached_property
+    def is_structural(self) -> bool:
+        """Whether it explains no more, at any joint that it blames, than real friction leaves."""
+        left = np.maximum(self.offer.successive, 0.0) / self.fitted.sums.row_counts
+        explained = self.fitted.unexplained**2 - left
+        is_more = explained > structural(self.fitted) ** 2
+        joint = self.explanation.effect.joint
+        return not np.any(is_more if joint is None else is_more[joint])
+
     @property
     def level(self) -> Level:
-        """The fault's where an estimate that ignores it would be wrong, else SAYS."""
+        """The fault's where an estimate that ignores it would be wrong, else SAYS.
+
+        What is no more than real friction leaves is a note, unless it gains very much.
+        """
+        is_shown = not self.is_structural or self.gain >= SURELY_CLEAR
+        return (
+            self.explanation.fault.level if self.is_harmful and is_shown else Level.SAYS
+        )
+
+    @property
+    def is_harmful(self) -> bool:
+        """Whether it changes what was asked, or makes much of the torque."""
         explanation = self.explanation
         # What was asked may change by more than a standard error. Other terms take less for a
         # shape.
@@ -144,8 +164,7 @@ class Score:
         # An arm that is compared with its model is asked for no link: only its torques count.
         is_of_link = not explanation.is_shape and self.fitted.question.differing is None
         moves_links = is_of_link and (bool(np.any(change > self.errors)) or self.spoils)
-        is_harmful = self.share > least or moves_links
-        return explanation.fault.level if is_harmful else Level.SAYS
+        return self.share > least or moves_links
 
     @property
     def spoils(self) -> bool:
@@ -168,8 +187,8 @@ class Score:
         explanation = self.explanation
         is_of_log = explanation.effect.joint is None
         is_of_log = is_of_log and explanation.fault.level is not Level.SAYS
-        is_large = self.level is not Level.SAYS or self.share > NOTED
-        return is_of_log or is_large or self.gain > SURELY_CLEAR
+        is_large = self.is_harmful or self.share > NOTED
+        return is_of_log or is_large or self.gain >= SURELY_CLEAR
 
     @property
     def text(self) -> str:

@@ -5,6 +5,7 @@ not fit, with what is missing at which joint.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ from robot_sysid.estimate.choose import (
     odd_link,
     solve_question,
 )
-from robot_sysid.estimate.contacts import LITTLE
+from robot_sysid.estimate.contacts import DEVIATION_OVER_MEDIAN, LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.links import CENTRE, MASS, OddNumber
 from robot_sysid.estimate.offers import Effect, Offers
@@ -25,6 +26,7 @@ from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES, ZEROS
 from robot_sysid.faults import Finding
 from robot_sysid.faults.columns import INERTIAL, WEIGHT
+from robot_sysid.faults.loop import State
 from robot_sysid.faults.plausibility import (
     PLAIN_FRICTION,
     SMALLER,
@@ -35,13 +37,18 @@ from robot_sysid.faults.plausibility import (
     model_misfit,
     model_torque,
     regression,
+    structural,
     terms_of,
     typical_ratio,
     typical_torque,
 )
 from robot_sysid.faults.reading_search import Evidence
-from robot_sysid.faults.scales import ScaleCorrections, little_weight, torque_scales
-from robot_sysid.faults.search import Search
+from robot_sysid.faults.scales import (
+    ScaleCorrections,
+    little_weight,
+    may_be_odd,
+    torque_scales,
+)
 from robot_sysid.faults.shares import LOST, Shares
 from robot_sysid.faults.table import TIME, WHOLE_CLOCK, at_inertia
 from robot_sysid.records import Array
@@ -88,6 +95,20 @@ noise of up to 0.8 %, the nearest of 204 right logs 1.3 %."""
 LEAST_FRICTION = 0.008
 """Least friction of arms, as a share of their torque: of sensors behind gears, which see bearings
 and cables alone; motors' currents have ten times as much."""
+LEAST_MEASURED = 0.032
+"""Share of all torque that a fit leaves, noise included, from which on torque without friction was
+measured, by sensors behind the gears: of a Franka Panda 4.8 %, where computed torque with noise of
+its own leaves 2 %."""
+EXACT_TORQUE = 0.002
+"""The same below which no torque was measured, if it has no noise from sample to sample: logs of
+real arms leave 0.9 to 5.5 %."""
+NO_NOISE = 1e-4
+"""Noise from sample to sample, as a share of all torque, that is none: 20 mN m of a large arm are
+four times as much."""
+FAST = 4
+"""Order of the differences in which noise from sample to sample is seen."""
+FAST_SCALE = DEVIATION_OVER_MEDIAN / math.sqrt(math.comb(2 * FAST, FAST))
+"""Standard deviation of white noise over the median size of its differences."""
 FRICTION_ERRORS = 5.0
 """Errors of the friction that it would have to be off from none, if there were the least."""
 
@@ -125,15 +146,19 @@ def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
     name = DELAY.key
     if fitted.question.differing is not None or name not in fitted.names:
         return
-    value, error = fitted.by_name[name], fitted.error_of(name)
+    value, error, gain = fitted.by_name[name], fitted.error_of(name), np.inf
     owner, joints = "all joints", fitted.arm.indices
     if not is_late(fitted, value, error):
-        joint, value, error = late_joint(current)
+        joint, value, error, gain = late_joint(current)
         owner, joints = f"joint {fitted.arm.joints[joint]}", joints[[joint]]
     if not is_late(fitted, value, error):
         return
     delays = np.zeros(fitted.arm.robot.n_joints)
     delays[joints] = value
+    squares = fitted.sums.squares[:, fitted.sums.at([name])].ravel()
+    sizes = np.sqrt(squares / fitted.sums.row_counts)
+    # What moved torque makes has to be more than friction leaves.
+    is_more = np.any(np.abs(delays[fitted.arm.indices]) * sizes > structural(fitted))
     moved = [earlier(recording, delays) for recording in fitted.recordings]
     after = solve_question(fitted.arm.robot, moved, fitted.question)
     held = [t for t in fitted.equations.terms if t.cause in CAUSES_IN_FILE]
@@ -142,8 +167,9 @@ def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
     change = [after.by_name[each] - fitted.by_name[each] for each in written]
     errors = [fitted.error_of(each) for each in written]
     is_harmful = np.any(np.abs(change) > INTERVAL * np.array(errors))
+    is_doubt = is_harmful and is_more and gain >= CLEAR
     yield Finding(
-        Level.DOUBTS if is_harmful and not fitted.question.loaded else Level.SAYS,
+        Level.DOUBTS if is_doubt and not fitted.question.loaded else Level.SAYS,
         FaultName.DELAY,
         f"torque of {owner} is {with_error(1e3 * abs(value), 1e3 * error, 'ms')} "
         f"{'later' if value > 0.0 else 'earlier'} than position",
@@ -157,16 +183,17 @@ def is_late(fitted: Fit, value: float, error: float) -> bool:
     return abs(value) >= SURE * max(error, usual)
 
 
-def late_joint(fitted: Fit) -> tuple[int, float, float]:
-    """Return (joint, delay of its torque alone, its error [s]); zero where none is shown."""
+def late_joint(fitted: Fit) -> tuple[int, float, float, float]:
+    """Return (joint, delay of its torque alone, its error [s], gain); zero where none is shown."""
     offers = Offers(fitted)
     size = 1e-3 * np.array([[WRONG_DELAY]])
     joints = range(len(fitted.arm.joints))
     every = [offers.offer(Effect((DELAY.key,), size, joint)) for joint in joints]
     joint = max(joints, key=lambda each: every[each].gain)
     found = offers.weigh(every[joint].effect)
-    is_shown = min(every[joint].gain, found.gain) >= LATE_JOINT
-    return joint, float(found.values[0]) * is_shown, float(found.errors[0])
+    gain = min(every[joint].gain, found.gain)
+    delay = float(found.values[0]) * (gain >= LATE_JOINT)
+    return joint, delay, float(found.errors[0]), gain
 
 
 def earlier(recording: FilteredRecording, delays: Array) -> FilteredRecording:
@@ -184,25 +211,26 @@ def weighed_time(fitted: Fit) -> float:
 
 
 def model_findings(
-    search: Search, scales: ScaleCorrections, answer: Fit
+    state: State, scales: ScaleCorrections, answer: Fit
 ) -> Iterator[Finding]:
     """Yield what is wrong as a whole, where no fault is named that forbids an estimate.
 
     Args:
-        search: what was found in the log.
+        state: what was found in the log.
         scales: torque scales of the log that was searched.
         answer: to the log with what was found.
     """
     fitted = scales.fitted
     robot = fitted.arm.robot
-    current = search.current
-    zeros = [] if search.winners else [*odd_zeros(answer)]
+    current = state.current
+    zeros = [] if state.joined else [*odd_zeros(answer)]
     wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
     wrong += wrong_centre(answer)
     # A fault that was found may explain them.
-    is_odd = scales.scales.is_odd and torque_scales(current, search.effects).is_odd
+    is_odd = may_be_odd(fitted) and scales.scales.is_odd
+    is_odd = is_odd and torque_scales(current, state.effects).is_odd
     # Scales follow whatever else is left over.
-    is_odd &= scales.common.fit.unexplained_share < LITTLE
+    is_odd = is_odd and scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
     if zeros:
         yield from (*zeros, *wrong)
@@ -264,12 +292,10 @@ def odd_zeros(answer: Fit) -> Iterator[Finding]:
 def odd_zero(joint: str, zero: float, error: float) -> Finding:
     """Return the finding on the zero of a joint and its error [rad].
 
-    It is a doubt where the log tells it from centres of mass: half the square of a number's
-    distance from zero in its errors is about its gain.
+    No torque tells it from centres of mass, only how far either is usually off: it is no doubt.
     """
-    is_clear = 0.5 * (zero / error) ** 2 > CLEAR
     return Finding(
-        Level.DOUBTS if is_clear else Level.SAYS,
+        Level.SAYS,
         FaultName.ZERO,
         f"the position of joint {joint} reads {with_error(abs(zero), error, 'rad')} too "
         f"{'much' if zero > 0.0 else 'little'}; or the centres of mass of the links that it "
@@ -442,26 +468,56 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
         )
 
 
-def friction_findings(fitted: Fit) -> Iterator[Finding]:
-    """Yield the finding that no joint has friction: the torque was computed or commanded.
+def computed_findings(fitted: Fit) -> Iterator[Finding]:
+    """Yield the finding that the torque was computed or commanded, and not measured.
 
-    It has to be so well known that the friction of a real arm would show, behind its gears as well.
+    It has no friction, and less noise than a sensor behind the gears, which sees none either; or
+    the fit leaves less of it than any sensor has noise, so that its friction is a formula, too.
     """
+    left = fitted.residual_share
     share, error, distance = friction_share(fitted)
     is_absent = abs(share) < SURE * error and distance < FRICTION_DEVIATIONS
+    # The friction of a real arm would show, behind its gears as well.
     is_known = error < LEAST_FRICTION / FRICTION_ERRORS
-    if not (is_absent and is_known and fitted.unexplained_share < UNEXPLAINED):
-        return
-    text = (
-        "the torque follows rigid-body dynamics and has no friction (less than "
-        f"{percent(INTERVAL * error)} of the torque): it was computed, or commanded by a "
-        "controller whose drives add the friction themselves, not measured; an arm without "
-        "friction looks the same"
-    )
-    left = model_misfit(fitted, terms_of(fitted.arm, PLAIN_FRICTION))
-    if left < OWN_MODEL:
-        text += f"; this model's links but the last, as they are, leave {percent(left)} of it"
-    yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)
+    has_none = is_absent and is_known and fitted.unexplained_share < UNEXPLAINED
+    if has_none and left < LEAST_MEASURED:
+        text = (
+            "the torque follows rigid-body dynamics and has no friction (less than "
+            f"{percent(INTERVAL * error)} of the torque): it was computed, or commanded by a "
+            "controller whose drives add the friction themselves, not measured; an arm without "
+            "friction looks the same"
+        )
+        of_model = model_misfit(fitted, terms_of(fitted.arm, PLAIN_FRICTION))
+        if of_model < OWN_MODEL:
+            text += (
+                "; this model's links but the last, as they are, leave "
+                f"{percent(of_model)} of it"
+            )
+        yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)
+    elif left < EXACT_TORQUE and fast_noise(fitted) < NO_NOISE:
+        yield Finding(
+            Level.DOUBTS,
+            FaultName.COMPUTED,
+            "the torque follows rigid-body dynamics and friction that is a formula, all but for "
+            f"{percent(left)} of it, and has no noise: it was computed by a controller, or "
+            "simulated, and shows the model that it was computed with, not what the arm is",
+            MEASURED,
+        )
+
+
+def fast_noise(fitted: Fit) -> float:
+    """Return the noise of torques from sample to sample, as a share of all torque.
+
+    It is that of fourth differences, in which a motion leaves nothing, by their median, which
+    friction that turns round does not change.
+    """
+    left = total = 0.0
+    for recording in fitted.recordings:
+        tau = recording.tau[:, fitted.arm.indices]
+        size = np.median(np.abs(np.diff(tau, FAST, axis=0)), axis=0) * FAST_SCALE
+        left += float(len(tau) * np.sum(size**2))
+        total += float(np.sum(tau**2))
+    return float(np.sqrt(left / max(total, 1e-300)))
 
 
 def own_findings(fitted: Fit) -> Iterator[Finding]:

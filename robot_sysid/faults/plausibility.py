@@ -24,7 +24,12 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.faults.columns import INERTIAL, WEIGHT
 from robot_sysid.records import Array
-from robot_sysid.records.levels import SURE
+from robot_sysid.records.levels import ALARMING, SURE
+from robot_sysid.records.usual_errors import (
+    LEFT_OF_ALL,
+    LEFT_OF_FRICTION,
+    LEFT_OF_TORQUE,
+)
 
 SMALLER = 1.0 / 3.0
 """Torque scale below which all joints' torques are in another unit, whatever the links: arms whose
@@ -142,6 +147,20 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     return dry, np.sqrt(np.maximum(variance, 0.0))
 
 
+def structural(fitted: Fit) -> Array:
+    """Return the torque (J,) that the terms of a real arm leave at each joint [N m].
+
+    It is no noise: it is there in every block of time alike, and no number of rows makes it less.
+    So what explains no more is no evidence, however many nats it gains.
+    """
+    torque = fitted.sums.rms_torque
+    dry, _ = dry_friction(fitted)
+    friction = np.minimum(np.abs(dry), torque)
+    least = LEFT_OF_ALL * np.sqrt(np.mean(torque**2))
+    own = np.maximum(LEFT_OF_TORQUE * torque, LEFT_OF_FRICTION * friction)
+    return np.maximum(own, least)
+
+
 def friction_share(fitted: Fit) -> tuple[float, float, float]:
     """Return (share of the torque that is friction, its error, its distance from none).
 
@@ -224,13 +243,13 @@ def last_mass(fitted: Fit) -> tuple[float, float]:
 def is_plausible(fitted: Fit) -> bool:
     """Return whether the last link's mass is that of a link, and the others are near the model's.
 
-    The mass has to lie, within ``SURE`` standard errors, between zero and the larger of two limits:
-    ``MOST_OF_ARM`` of the arm's mass, and the model's mass plus ``MOST_TOOL`` of the arm's.
+    The mass has to lie, within ``ALARMING`` standard errors, between zero and the larger of two
+    limits: ``MOST_OF_ARM`` of the arm's mass, and the model's mass plus ``MOST_TOOL`` of the arm's.
     """
     robot = fitted.arm.robot
     largest = max(MOST_OF_ARM * robot.mass, robot.prior.mass + MOST_TOOL * robot.mass)
     mass, error = last_mass(fitted)
-    is_possible = -SURE * error < mass < largest + SURE * error
+    is_possible = -ALARMING * error < mass < largest + ALARMING * error
     for term, span in fitted.equations.spans:
         if term.cause == LINKS and term.prior is not None:
             values = np.append(fitted.free[span], -1.0)

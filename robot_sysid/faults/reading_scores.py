@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.estimate.fit import Equations, equations_of, solution
+from robot_sysid.estimate.equations.inverse import rough_solution
+from robot_sysid.estimate.fit import Equations, equations_of
 from robot_sysid.estimate.rows import Rows, of_rounding, row_chunks
 from robot_sysid.estimate.terms import ArmTerms, Point, Term
 from robot_sysid.faults.readings import Reading
@@ -91,7 +92,7 @@ class ReadingScores:
                     self._kept.clear()
                 self._kept[of_positions] = self._products(reading)
             products = self._kept[of_positions]
-            self._scores[key] = self._score_of(products, reading.torque, share)
+            self._scores[key] = self._score_of(products, reading, share)
         return self._scores[key]
 
     def _products(self, reading: Reading) -> Products:
@@ -125,9 +126,10 @@ class ReadingScores:
             np.maximum(counts, 1.0),
         )
 
-    def _score_of(self, products: Products, torque: Array, share: float) -> float:
-        """Return the log likelihood of products, with torques (n, n) of the recorded ones."""
+    def _score_of(self, products: Products, reading: Reading, share: float) -> float:
+        """Return the log likelihood of products, with torques that are read otherwise."""
         equations = self._equations
+        torque = reading.torque
         change = (torque - np.eye(len(torque)))[self._arm.indices]
         sides = np.concatenate((np.ones((len(change), 1)), change), axis=1)
         cross = np.einsum("jks,js->jk", products.cross, sides)
@@ -135,21 +137,24 @@ class ReadingScores:
         own = products.own
         counts = products.counts
         sizes = np.sqrt(squared / counts)
-        least = share * np.sqrt(np.mean(sizes**2))
+        # In the size of the recorded torques, so that larger ones are not more exact.
+        factors = reading.factors[self._arm.indices]
+        least = share * np.sqrt(np.mean((sizes / factors) ** 2)) * factors
         noise = np.maximum(FIRST_NOISE * sizes, least)
         prior = equations.prior
         for _ in range(NOISE_ROUNDS):
             weights = noise**-2.0
             matrix = prior[:-1, :-1] + np.tensordot(weights, own, 1)
             right_side = prior[:-1, -1] + weights @ cross
-            values = solution(matrix, right_side, equations.reference)
+            values = rough_solution(matrix, right_side, equations.reference)
             crosses = equations.crossing(values)
             if np.any(crosses):
                 start = np.where(crosses, equations.inside(values), equations.reference)
-                values = solution(matrix, right_side, start, ~crosses)
+                free = np.flatnonzero(~crosses)
+                values = rough_solution(matrix, right_side, start, free)
             squares = squared - 2.0 * (cross @ values) + (own @ values) @ values
             noise = np.maximum(np.sqrt(np.maximum(squares, 0.0) / counts), least)
-        return likelihood(equations, values, counts, noise)
+        return likelihood(equations, values, counts, noise / factors)
 
 
 def recorded_torque(arm: ArmTerms) -> Term:

@@ -15,6 +15,7 @@ from itertools import combinations, product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.rows import Rows
@@ -23,16 +24,24 @@ from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.signals.process import FilteredRecording
 
+_OF_JOINTS = (
+    "record positions and torques of the joints, or convert those of the motors with the ratios of "
+    "their gears"
+)
+_OF_MOTORS = (
+    *(np.array([[1.0, 0.0], [ratio, 1.0]]) for ratio in (1.0, -1.0)),
+    *(np.array([[1.0, ratio], [0.0, 1.0]]) for ratio in (1.0, -1.0)),
+    *(0.5 * np.array([[1.0, 1.0], [ratio, -ratio]]) for ratio in (1.0, -1.0)),
+)
+"""Positions of two joints (2, 2) from those of their motors."""
 _RIGHT_COLUMNS = "put the columns right with {columns FILE}"
-OF_COLUMNS = (FaultName.SIGN, FaultName.ORDER, FaultName.ANGLE_UNIT)
-"""Mistakes whose words are their own, and which other columns put right."""
 _TURNS = tuple(np.radians((90.0, -90.0, 180.0)).tolist())
 """Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
 _TIMES = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
 """Factors of time that are tried; the one that is right is found from the nearest."""
-_GEARS = ((2.0, "half"), (0.5, "twice"))
-"""Factors that put positions right, and how much they read: a gear, or an encoder before it, that
-the recorder counts once too often, or not at all."""
+GEARS = (0.5, 0.8, 1.25, 2.0)
+"""Factors of one joint's positions that are tried, as of another gear: that which is right is found
+from the nearest. A ratio is on a motor's torque as well, or on its positions alone."""
 ZERO_STEP = np.radians(30.0)
 """Step of the angles of a zero that are tried first: one that is off by half a step reads better
 with it than with none."""
@@ -96,13 +105,42 @@ class Reading:
             qdd=recording.qdd @ position / self.time**2,
             tau=recording.tau @ self.torque.T,
             touched=(),
-            # The direction of friction is that of the speed.
-            columns={"coulomb": dry @ np.sign(position)},
+            # The direction of friction is that of the speed; one of two motors has its own.
+            columns=None if self.mixes else {"coulomb": dry @ np.sign(position)},
         )
 
     @property
-    def columns(self) -> ColumnCorrection:
-        """The correction of a log's columns, with zeros; gravity is none."""
+    def blamed(self) -> NDArray[np.bool_]:
+        """The joints (n,) whose columns or zeros it changes; none of a mounting, or of time."""
+        every = np.eye(len(self.zeros))
+        is_other = (self.position != every) | (self.torque != every)
+        return np.any(is_other, axis=1) | (self.zeros != 0.0)
+
+    @property
+    def factors(self) -> Array:
+        """By which torques (n,) become larger, as their noise does; what mixes has that of all.
+
+        A log is no likelier because its numbers are smaller.
+        """
+        if not self.mixes:
+            return np.asarray(np.sum(np.abs(self.torque), axis=1))
+        is_changed = np.any(self.torque != np.eye(len(self.torque)), axis=1)
+        size = np.abs(np.linalg.det(self.torque)) ** (1.0 / max(np.sum(is_changed), 1))
+        return np.where(is_changed, size, 1.0)
+
+    @property
+    def mixes(self) -> bool:
+        """Whether positions of a joint are made of those of several."""
+        return bool(np.any(np.count_nonzero(self.position, axis=1) > 1))
+
+    @property
+    def columns(self) -> ColumnCorrection | None:
+        """The correction of a log's columns, with zeros; gravity is none.
+
+        None where a joint's columns are made of several: no line of a columns file says that.
+        """
+        if self.mixes:
+            return None
         # Half a turn at the most, in either direction.
         zeros = (self.zeros + np.pi) % (2.0 * np.pi) - np.pi
         return ColumnCorrection(
@@ -122,8 +160,8 @@ def sources(matrix: Array) -> tuple[tuple[int, float], ...]:
 class Mistake:
     """A row of the table: its name, in words, and how the log is read without it.
 
-    The words of a zero and of a direction of gravity follow from all that is found together: such a
-    row has none.
+    Other columns put right what has words of its own. Those of a zero, of a direction of gravity
+    and of a time follow from all that is found together: such a row has none.
     """
 
     name: FaultName
@@ -139,9 +177,8 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     ``moving`` are the numbers of the joints that move: columns of a joint that stands still say
     nothing of whose they are.
     """
-    for each in _QUANTITIES:
-        yield from signs(robot, moving, each)
-        yield from orders(robot, moving, each)
+    yield from turned_signs(robot, moving)
+    yield from exchanges(robot, moving)
     yield from angle_units(robot, moving)
     yield from zeros(robot, moving)
     yield from mountings(robot)
@@ -156,6 +193,13 @@ def turned_signs(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     """
     for each in _QUANTITIES:
         yield from signs(robot, moving, each)
+
+
+def exchanges(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield exchanges of two joints, reversed orders, and motors that turn two joints."""
+    for each in _QUANTITIES:
+        yield from orders(robot, moving, each)
+    yield from shared_motors(robot, moving)
 
 
 def is_torque_sign(mistake: Mistake) -> bool:
@@ -244,24 +288,46 @@ def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
         "say rad where degrees are said: in {units}, the file of {columns}, a column's title or "
         "the recorder",
     )
-    for joint in moving:
+    ways = (
+        (_RADIANS_PER_DEGREE, "degrees"),
+        (1.0 / _RADIANS_PER_DEGREE, "radians that were taken for degrees"),
+    )
+    for joint, (factor, unit) in product(moving, ways):
         if not robot.is_slide[joint]:
             yield Mistake(
                 FaultName.ANGLE_UNIT,
-                f"the position of joint {robot.joint_names[joint]} looks like degrees",
-                position_times(robot.n_joints, joint, _RADIANS_PER_DEGREE),
+                f"the position of joint {robot.joint_names[joint]} looks like {unit}",
+                position_times(robot.n_joints, joint, factor),
             )
 
 
-def gear_ratios(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
-    """Yield positions of one joint that are half or twice as large as it moves, as of a gear."""
-    for joint, (factor, size) in product(moving, _GEARS):
-        yield Mistake(
-            FaultName.ANGLE_UNIT,
-            f"the position of joint {robot.joint_names[joint]} reads {size} as much as it moves, "
-            "as of another gear ratio",
-            position_times(robot.n_joints, joint, factor),
-        )
+def gear_ratios(
+    robot: RobotModel, moving: Sequence[int], weighed: Sequence[int]
+) -> Iterator[Mistake]:
+    """Yield positions of one joint that are another size than it moves, as of a gear.
+
+    Its torque may be as well where weight shows the position (``weighed``): elsewhere, both
+    together are another inertia.
+    """
+    for joint, factor in product(moving, GEARS):
+        yield gear_of(robot, joint, factor, False)
+    for joint, factor in product(weighed, GEARS):
+        yield gear_of(robot, joint, factor, True)
+
+
+def gear_of(robot: RobotModel, joint: int, factor: float, is_of_motor: bool) -> Mistake:
+    """Return a gear of one joint that a factor of positions puts right.
+
+    ``is_of_motor``: whether the torque was made with the same ratio, which divides it.
+    """
+    text = f"the position of joint {robot.joint_names[joint]} reads {1.0 / factor:.3g} times as "
+    text += "much as it moves, as of another gear ratio"
+    if is_of_motor:
+        text += f", and its torque {factor:.3g} times as much as it is"
+    reading = position_times(robot.n_joints, joint, factor)
+    torque = reading.torque.copy()
+    torque[joint, joint] = 1.0 / factor if is_of_motor else 1.0
+    return Mistake(FaultName.ANGLE_UNIT, text, replace(reading, torque=torque))
 
 
 def position_times(n: int, joint: int, factor: float) -> Reading:
@@ -269,6 +335,42 @@ def position_times(n: int, joint: int, factor: float) -> Reading:
     factors = np.ones(n)
     factors[joint] = factor
     return replace(Reading.of(n), position=np.diag(factors))
+
+
+def gear_in(reading: Reading) -> tuple[int, float, bool] | None:
+    """Return what ``gear_of`` takes of a gear's reading: joint, factor, kind; None of another one.
+
+    Degrees are no gear.
+    """
+    factors = np.diag(reading.position)
+    (joints,) = np.nonzero(factors != 1.0)
+    if len(joints) != 1 or not GEARS[0] <= factors[joints[0]] <= GEARS[-1]:
+        return None
+    joint = int(joints[0])
+    return joint, float(factors[joint]), bool(reading.torque[joint, joint] != 1.0)
+
+
+def shared_motors(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+    """Yield positions and torques of two neighbours' motors, which turn both joints.
+
+    One motor turns with its joint and, through a bevel or a belt, with the next; or both turn a
+    differential. Power is the same on both sides.
+    """
+    names = robot.joint_names
+    for one, two in zip(moving, moving[1:]):
+        if two != one + 1:
+            continue
+        for joints in _OF_MOTORS:
+            position = np.eye(len(names))
+            position[one : two + 1, one : two + 1] = joints
+            text = (
+                f"position and torque of joints {names[one]} and {names[two]} are those of "
+                "motors that turn both"
+            )
+            reading = Reading.of(len(names))
+            torque = np.asarray(np.linalg.inv(position).T, dtype=float)
+            reading = replace(reading, position=position, torque=torque)
+            yield Mistake(FaultName.COUPLING, text, reading, _OF_JOINTS)
 
 
 def zeros(

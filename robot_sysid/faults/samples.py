@@ -11,15 +11,19 @@ positions ``q`` [rad], velocities ``qd`` [rad/s] or None, and torques ``tau`` [N
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import compress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.faults import Finding
-from robot_sysid.faults.stretches import MANY_VALUES, failed_sensors, leave_out
+from robot_sysid.faults.stretches import MANY_VALUES, ROUNDED, failed_sensors, leave_out
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import Level, count_text, percent, torque_unit
+from robot_sysid.records.usual_errors import DELAY
 from robot_sysid.signals.filters import integrate
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
@@ -72,6 +76,8 @@ CLEAR_STEP = 64.0
 LEAST_STEP = 0.02
 """The same over that of the fastest step: with a seventh of the speed or less, near a reversal, a
 step says little of the clock."""
+LONGEST_HELD = 2.0 * SURE * 1e-3 * DELAY
+"""Longest time for which a torque is held, which is late by half of it in the mean [s]."""
 NEAR_END = 0.02
 """Distance from an end of a channel's range that is near it, as a share of the range."""
 SATURATED = 0.005
@@ -251,13 +257,15 @@ def saturation_findings(
 ) -> Iterator[Finding]:
     """Yield findings on torque channels that saturate, where they are not left out."""
     torques = [piece.tau[~piece.is_left_out] for piece in pieces]
-    for name, values in zip(robot.joint_names, np.concatenate(torques).T):
+    held = held_samples(pieces)
+    channels = np.concatenate(torques).T
+    for name, values, visit in zip(robot.joint_names, channels, held):
         if len(np.unique(values)) < MANY_VALUES:
             continue
         near = NEAR_END * np.ptp(values)
         for end in (np.min(values), np.max(values)):
-            # One sample is at the end of any range.
-            count = np.sum(values == end) - 1
+            # One sample is at the end of any range, for as long as it is held.
+            count = np.sum(values == end) - visit
             others = np.sum(np.abs(values - end) < near) - count
             if count > max(SATURATED * len(values), AT_END_OVER_NEAR * others):
                 share = percent(count / len(values))
@@ -272,6 +280,41 @@ def saturation_findings(
                     text,
                     "move slower, or carry less",
                 )
+
+
+def held_samples(pieces: Sequence[Recording]) -> NDArray[np.int64]:
+    """Return for how many samples each joint's torque (n,) is held: those between two changes.
+
+    A slow driver gives each torque several times. A torque in coarse steps repeats by chance, and
+    goes on to the next step: it is not held.
+    """
+    held = np.ones(pieces[0].tau.shape[1], dtype=np.int64)
+    for joint in range(len(held)):
+        values = np.unique(np.concatenate([piece.tau[:, joint] for piece in pieces]))
+        if len(values) < MANY_VALUES:
+            continue
+        changes = [np.diff(piece.tau[:, joint]) for piece in pieces]
+        sizes = np.abs(np.concatenate(changes))
+        is_jumping = np.median(sizes[sizes > 0.0]) > ROUNDED * np.min(np.diff(values))
+        gaps = np.concatenate([np.diff(np.flatnonzero(each)) for each in changes])
+        if is_jumping and len(gaps):
+            held[joint] = np.median(gaps)
+    return held
+
+
+def rate_findings(robot: RobotModel, pieces: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield the finding that torques are held for so long that they are late."""
+    held = held_samples(pieces)
+    length = sampling_period(pieces[0].time) * np.max(held)
+    if np.max(held) > 1 and length > LONGEST_HELD:
+        names = ", ".join(compress(robot.joint_names, held == np.max(held)))
+        yield Finding(
+            Level.DOUBTS,
+            FaultName.HELD,
+            f"the torque of {names} is new in every {np.max(held)}. sample only, "
+            f"{1.0 / length:.3g} times a second: the others repeat it, while the arm moves on",
+            "record torques as often as positions, or keep only the rows in which they are new",
+        )
 
 
 def unsigned_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
@@ -392,5 +435,6 @@ def check_recording(
         *motion_sign_findings(robot, kept),
         *clock_findings(kept),
         *saturation_findings(robot, kept),
+        *rate_findings(robot, kept),
     ]
     return found, kept

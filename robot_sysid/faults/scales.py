@@ -39,6 +39,7 @@ from robot_sysid.faults.reading_search import (
     Correction,
     Evidence,
     gain_between,
+    is_own,
     part_of_rows,
     refit,
 )
@@ -205,6 +206,7 @@ class TorqueScales:
             error = float(np.sqrt(apart @ self.covariance @ apart))
             ratio = float(apart @ size)
             is_clear = abs(ratio) >= max(np.log(ALONE), SURE * error)
+            is_clear &= error < SURE_SCALE
             if is_clear and abs(ratio) < np.log(OTHER_UNIT):
                 clear.append((abs(ratio), joint, ratio, error))
         if not clear:
@@ -262,6 +264,18 @@ class TorqueScales:
         return np.asarray(np.sign(self.values) * own)
 
 
+def may_be_odd(fitted: Fit) -> bool:
+    """Return whether the links' weights let all torques be off by a factor (``agreed``).
+
+    It is a matter of the fit as it is, and takes no time.
+    """
+    weights = np.log(weight_ratios(fitted))
+    if not len(weights):
+        return False
+    is_more = float(np.min(weights)) + AGREEING >= np.log(NOTED)
+    return is_more or float(np.max(weights)) <= AGREEING
+
+
 def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     """Return how many times the model's the torques of a log are.
 
@@ -293,6 +307,8 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     opposes = is_loaded & (share * torque < -OPPOSING * fitted.sums.rms_torque)
     scale[opposes & is_foreign(fitted)] *= -1.0
     sums = arm.sums(recordings, point)
+    # Each fit begins with the noise of its like in the round before.
+    noise = links_noise = None
     for _ in range(ROUNDS):
         # A scale multiplies the links as they are found with the scales so far: with the model's, a
         # last link that no other joint shows would give way to its joint's scale, round after
@@ -302,7 +318,7 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
         others = [term for term in terms if term.cause != SCALES]
         scaled, others = with_effects(scaled, others, effects)
         problem = Problem(arm, recordings, point, scaled, question)
-        links = problem.fit(others, correlation=correlation, possible=False)
+        links = problem.fit(others, None, links_noise, correlation, possible=False)
         point = links.next_point()
         sums = arm.sums(recordings, point)
         prior = Prior(-np.log(np.abs(scale) / typical), factor)
@@ -313,10 +329,11 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
         scaled = sums.with_torque_times(1.0 / scale)
         scaled, terms = with_effects(scaled, terms, effects)
         problem = Problem(arm, recordings, point, scaled, question)
-        after = problem.fit(terms, correlation=correlation, possible=False)
+        after = problem.fit(terms, None, noise, correlation, possible=False)
         at = after.at(arm.terms[SCALES].names)
         change = np.clip(1.0 + after.free[at], *STEP)
         scale = scale * change
+        noise, links_noise = after.noise / change, links.noise / change
         if np.max(np.abs(np.log(change))) < FOUND:
             break
     # Links that are off are the same in all blocks, and make most of the formal error; what blocks
@@ -355,12 +372,13 @@ class ScaleCorrections:
         fitted = self.fitted
         factor, error = self.scales.common
         factors = np.full(len(self.scales.values), 1.0 / factor)
-        after = refit(fitted, torque_reading(fitted.arm, factors))
+        reading = torque_reading(fitted.arm, factors)
+        after = refit(fitted, reading)
         finding = common_finding(fitted.arm.robot, factor, error, self.evidence)
         is_small = finding.is_common_factor and self.scales.agreed < np.log(ODD)
         if is_small:
             finding = replace(finding, level=Level.SAYS)
-        return Correction((finding,), gain_between(fitted, after, factors), after)
+        return Correction((finding,), gain_between(fitted, after, reading), after)
 
     @cached_property
     def alone(self) -> Correction | None:
@@ -375,10 +393,13 @@ class ScaleCorrections:
             return None
         factors = np.ones(len(self.scales.values))
         factors[joint] = 1.0 / scale
-        after = refit(fitted, torque_reading(fitted.arm, factors))
+        reading = torque_reading(fitted.arm, factors)
+        after = refit(fitted, reading)
+        if not is_own(fitted, after, reading):
+            return None
         # Every joint was tried, and the scale fits the data instead of being one.
         penalty = np.log(len(factors) * max(SPREAD / error, 1.0))
-        gain = gain_between(fitted, after, factors) - penalty
+        gain = gain_between(fitted, after, reading) - penalty
         finding = alone_finding(fitted, joint, scale, error, self.evidence)
         return Correction((finding,), float(gain), after)
 
@@ -389,12 +410,13 @@ class ScaleCorrections:
         if self.alone is not None or not (scales.are_of_links and scales.differ):
             return None
         values = scales.known_values
-        after = refit(fitted, torque_reading(fitted.arm, 1.0 / values))
+        reading = torque_reading(fitted.arm, 1.0 / values)
+        after = refit(fitted, reading)
         # Loss for scales that fit the data instead of being one: the prior's volume over that left.
         penalty = np.sum(np.log(SPREAD / scales.own_errors))
         sure = np.flatnonzero(scales.are_sure)
         finding = own_finding(fitted, scales, sure, self.evidence)
-        gain = gain_between(fitted, after, 1.0 / np.abs(values)) - penalty
+        gain = gain_between(fitted, after, reading) - penalty
         return Correction((finding,), float(gain), after)
 
     def each(self) -> Iterator[Correction]:

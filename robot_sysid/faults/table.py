@@ -37,7 +37,7 @@ from robot_sysid.faults.columns import (
 )
 from robot_sysid.faults.plausibility import typical_torque
 from robot_sysid.records import Array
-from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.fault_names import FaultName, StandsFor
 from robot_sysid.records.messages import Level, position_unit, torque_unit
 from robot_sysid.records.parameters import DELAY, SCALE, ZERO
 from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale
@@ -133,15 +133,12 @@ class Explanation:
     @property
     def is_shape(self) -> bool:
         """Whether it is torque of a shape at one joint, which may stand for other terms."""
-        return self.fault.name in SHAPES and self.effect.joint is not None
-
-
-SHAPES = (FaultName.FORCE, FaultName.CONTACT, FaultName.CROSSTALK)
-"""Faults that are torque of any shape, where they act at one joint."""
+        is_of_any = bool(self.fault.name.stands_for & StandsFor.SHAPE)
+        return is_of_any and self.effect.joint is not None
 
 
 def explanations(fitted: Fit) -> list[Explanation]:
-    """Return every fault at every place, for a fit with the columns of ``columns.fault_columns``."""
+    """Return every fault at every place, for a fit with the columns of ``fault_columns``."""
     every = [(fault, list(fault.places(fitted, fault))) for fault in FAULTS]
     logs = dict.fromkeys(fitted.sums.logs)
     in_logs = []

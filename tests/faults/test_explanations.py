@@ -99,7 +99,7 @@ CLOCK = "clock: too long, or a balancer carries a part of the weight"
 HALVED = "clock: time in the log is 0.5 times as long as it was"
 DOUBLED = "clock: time in the log is 2 times as long as it was"
 RADIANS = "angle-unit: positions look like radians that were taken for degrees"
-GEAR = "angle-unit: joint joint1 reads half as much as it moves"
+GEAR = "angle-unit: joint joint1 reads 0.5"
 SAMPLES = {
     GEAR: lambda log: {"q": log.q * [1.0, 0.5, 1.0, 1.0], "qd": None},
     "order": lambda log: {

@@ -13,7 +13,7 @@ from rigs.arms import small_arms
 from rigs.logs.log_files import titles_alone
 from robot_sysid.errors import ColumnsError
 from robot_sysid.faults import Finding
-from robot_sysid.faults.readings import OF_COLUMNS, mistakes
+from robot_sysid.faults.readings import mistakes
 from robot_sysid.faults.refusal import refuse_for
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import read_columns
@@ -32,7 +32,9 @@ FILE = (
     "torque = #8, #9, #10\ntorque.joint1 = 0.5 * #9\n"
 )
 CORRECTIONS = [
-    s.reading.columns for s in mistakes(ROBOT, range(3)) if s.name in OF_COLUMNS
+    s.reading.columns
+    for s in mistakes(ROBOT, range(3))
+    if s.text and s.reading.columns is not None
 ]
 QUARTER = 0.5 * np.pi
 ZEROS = [

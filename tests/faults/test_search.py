@@ -15,8 +15,8 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.faults.columns import fault_columns
 from robot_sysid.faults.plausibility import is_plausible
 from robot_sysid.faults.table import explanations
+from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR
-from robot_sysid.records.messages import Level
 from robot_sysid.signals.process import low_pass_recordings
 from tests.faults.conftest import findings_of, found_in, judged
 
@@ -81,7 +81,7 @@ def test_deviations_that_the_prior_allows_are_not_named(four_joints):
     log = replace(four_joints.log, tau=four_joints.log.tau * [1.0, 1.3, 1.0, 1.0])
     for priors, is_named in ((Priors(), True), (Priors(scale=40.0), False)):
         found = findings_of(four_joints.robot, log, priors=priors)
-        assert any(f.level is not Level.SAYS for f in found) is is_named
+        assert any(f.about is FaultName.TORQUE_SCALE for f in found) is is_named
 
 
 @pytest.mark.slow

@@ -138,6 +138,28 @@ def solution(
     return values
 
 
+def rough_solution(
+    matrix: Array,
+    right_side: Array,
+    reference: Array,
+    at: NDArray[np.int64] | slice = slice(None),
+) -> Array:
+    """Return about the solution (k,) of ``solution``, in a third of its time: nearly singular
+    equations lose digits, which comparing hundreds of readings of a log does not need.
+
+    ``at`` (m,) are the parameters that are free.
+    """
+    own = matrix[at][:, at]
+    length = np.sqrt(np.maximum(np.diag(own), 0.0))
+    scale = 1.0 / np.where(length > 0.0, length, 1.0)
+    scaled = scale[:, None] * own * scale
+    scaled.flat[:: len(scaled) + 1] += RIDGE
+    gradient = (right_side - matrix @ reference)[at]
+    values = reference.copy()
+    values[at] += scale * np.linalg.solve(scaled, scale * gradient)
+    return values
+
+
 def _solve_free(
     matrix: Array, right_side: Array, reference: Array, at: NDArray[np.int64]
 ) -> tuple[InverseFactor, Array]:
