@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 from itertools import chain, compress
 
 import numpy as np
@@ -48,9 +49,17 @@ from robot_sysid.estimate.terms import (
     ZERO_DRIFT,
     ZEROS,
     ArmTerms,
+    Term,
 )
+from robot_sysid.faults.loop import run
 from robot_sysid.records import Array, parameters
-from robot_sysid.records.levels import ALARMING, FALSE_ALARMS, SURE, TELLING
+from robot_sysid.records.levels import (
+    ALARMING,
+    FALSE_ALARMS,
+    SURE,
+    TELLING,
+    UNEXPLAINED,
+)
 from robot_sysid.records.messages import torque_unit
 from robot_sysid.records.parameters import Parameter
 from robot_sysid.records.quantities import Quantity
@@ -222,7 +231,11 @@ def changes(fitted: Fit) -> list[Change]:
             candidates.append(Candidate(kind, (parameter.key,), (parameter,), _WHOLE))
     # What gears lose of a load, no model has exactly: it looks like a sensor's error.
     like_load = terms[SCALE_DRIFT].names + terms[OFFSET_DRIFT].names
-    return _Comparison(fitted, candidates, [*_DRIFTS], like_load, weigh).rows()
+    sides = _Sides(fitted, tuple(candidates), (*_DRIFTS,), like_load, weigh)
+    state = run(_State(sides), _State.step)
+    if state.is_too_much:
+        raise SysidError(_too_much(state.changed))
+    return state.rows
 
 
 def weigh(fitted: Fit, is_on: bool) -> tuple[Array, Array]:
@@ -246,7 +259,7 @@ class Differences:
     """How an arm differs from its model.
 
     Attributes:
-        rows: the numbers that were compared.
+        rows: the numbers that were compared; () where more differs than one arm explains.
         fit: the fit in which those that differ do so.
         is_certain: whether one of them is more than links as wrong as usual look like.
     """
@@ -255,15 +268,17 @@ class Differences:
     fit: Fit
     is_certain: bool
 
+    @property
+    def explains(self) -> bool:
+        """Whether the log fits with what differs."""
+        return bool(self.rows) and self.fit.unexplained_share < UNEXPLAINED
+
 
 def differences(fitted: Fit) -> Differences:
     """Return how an arm differs from its model: last link, sensors, base; and its friction.
 
     Args:
         fitted: fit of ``model_question`` to the logs.
-
-    Raises:
-        SysidError: more would differ than differences of one arm explain.
     """
     arm = fitted.arm
     # A factor on all torques or masses is looked for by the checks of logs.
@@ -278,10 +293,13 @@ def differences(fitted: Fit) -> Differences:
     if TILT in arm.terms:
         candidates.append(Candidate(Kind.TILT, arm.terms[TILT].names, _TILTS))
     causes = *_OF_SENSORS, TILT, LAST_LINK
-    comparison = _Comparison(fitted, candidates, causes)
-    of_candidates = comparison.rows()
-    right = comparison.right
-    is_certain = any(_is_certain(own, right) for own in comparison.differing)
+    state = run(_State(_Sides(fitted, tuple(candidates), causes)), _State.step)
+    right = state.sides.fit_with(state.changed)
+    if state.is_too_much:
+        return Differences((), right, False)
+    of_candidates = state.rows
+    differing = [state.compared[each] for each in state.changed]
+    is_certain = any(_is_certain(own, right) for own in differing)
     weights = [*_weights(right, fitted)]
     for row, error in weights:
         # What links as wrong as usual look like is in the row's bound.
@@ -415,116 +433,142 @@ def _friction(fitted: Fit) -> Iterator[Change]:
         yield replace(differing, reason=reason, least=least, kind=kind)
 
 
-class _Comparison:
-    """What differs between two sides, in fits in which one thing after the other may.
+@dataclass(frozen=True)
+class _Sides:
+    """Two sides that are compared, and what may differ between them.
 
-    Args:
+    Attributes:
         fitted: the fit in which nothing differs by more than usual.
         candidates: what may differ.
         causes: of the terms whose priors say what is usual.
         like_body: names of what does not count where the body has changed.
         weigh: returns the body that came on or off by another fit; None for none.
-
-    Attributes:
-        right: the fit in which what differs does so, after ``rows``.
-        differing: what differs, in fits in which it may; after ``rows``.
     """
 
-    def __init__(
-        self,
-        fitted: Fit,
-        candidates: Sequence[Candidate],
-        causes: Sequence[str],
-        like_body: Sequence[str] = (),
-        weigh: Callable[[Fit, bool], tuple[Array, Array]] | None = None,
-    ) -> None:
+    fitted: Fit
+    candidates: tuple[Candidate, ...]
+    causes: tuple[str, ...]
+    like_body: tuple[str, ...] = ()
+    weigh: Callable[[Fit, bool], tuple[Array, Array]] | None = None
+
+    @cached_property
+    def sure(self) -> float:
+        """Times its ± from which on a number is named (Bonferroni)."""
         from scipy.special import ndtri
 
-        self._fitted = fitted
-        self._candidates = candidates
-        self._like_body = like_body
-        self._weigh = weigh
-        self._weighed: dict[bool, tuple[Array, Array]] = {}
-        count = sum(len(each.numbers) for each in candidates)
-        # Times the ± from which on a number is named.
-        self._sure = float(ndtri(1.0 - 0.5 * FALSE_ALARMS / count))
-        self.right = fitted
-        self.differing: list[_Compared] = []
-        self._names = tuple(chain(*(candidate.names for candidate in candidates)))
-        self._usual_terms = [
+        count = sum(len(each.numbers) for each in self.candidates)
+        return float(ndtri(1.0 - 0.5 * FALSE_ALARMS / count))
+
+    @cached_property
+    def usual_terms(self) -> list[Term]:
+        """Terms whose priors say what is usual."""
+        return [
             term
-            for term in self._fit_with([]).equations.terms
-            if term.prior is not None and {term.cause, term.key} & {*causes}
+            for term in self.fit_with(()).equations.terms
+            if term.prior is not None and {term.cause, term.key} & {*self.causes}
         ]
 
-    def rows(self) -> list[Change]:
-        """Return a row for each number that is compared; SysidError where too much differs."""
-        changed: list[Candidate] = []
-        while True:
-            compared = {
-                each: self._comparison_of(each, changed) for each in self._candidates
-            }
-            # What was likeliest alone may be nothing beside what came after it.
-            needless = [each for each in changed if not compared[each].is_beyond]
-            if needless:
-                changed.remove(needless[0])
-                continue
-            known = {*chain(*(each.names for each in changed))}
-            is_body = any(each.is_body for each in changed)
-            known.update(self._like_body if is_body else ())
-            others = [
-                own
-                for each, own in compared.items()
-                if own.is_beyond and not known.issuperset(each.names)
-            ]
-            if not others:
-                break
-            # Errors by the jackknife are too uncertain to choose by.
-            changed.append(min(others, key=lambda own: own.chance).candidate)
-            if len(changed) > _MOST:
-                raise SysidError(_too_much(changed))
-        self.right = self._fit_with(changed)
-        self.differing = [compared[each] for each in changed]
-        rows: list[Change] = []
-        for each, own in compared.items():
-            beyond = ""
-            if each in changed:
-                beyond = DIFFERS
-            elif known.issuperset(each.names):
-                is_like_body = is_body and {*each.names} <= {*self._like_body}
-                beyond = UNKNOWN if is_like_body else WITH_ALL
-            rows += _rows(own, beyond)
-        return rows
+    @cached_property
+    def weighed(self) -> dict[bool, tuple[Array, Array]]:
+        """Whether a body came on, to what ``weigh`` returned."""
+        return {}
 
-    def _fit_with(self, changed: Sequence[Candidate]) -> Fit:
+    def fit_with(self, changed: Sequence[Candidate]) -> Fit:
         """Return the fit in which some things have changed, and all others are as usual."""
         names = tuple(chain(*(each.names for each in changed)))
-        question = self._fitted.question
+        question = self.fitted.question
         if question.differing is None:
             question = replace(question, changed=names)
         else:
             question = replace(question, differing=names)
-        terms = arm_question(self._fitted.arm, question, self._fitted.sums.rms_torque)
-        return replace(self._fitted.refit(terms), left_out=LeftOut.EACH)
+        terms = arm_question(self.fitted.arm, question, self.fitted.sums.rms_torque)
+        return replace(self.fitted.refit(terms), left_out=LeftOut.EACH)
 
-    def _comparison_of(
-        self, candidate: Candidate, changed: Sequence[Candidate]
-    ) -> _Compared:
+    def compared(self, candidate: Candidate, changed: Sequence[Candidate]) -> _Compared:
         """Return a candidate in the fit in which it may have changed beside others."""
-        fitted = self._fit_with([*changed, candidate])
+        fitted = self.fit_with([*changed, candidate])
         size = len(candidate.names)
         usual = np.zeros((size, size))
-        for term in self._usual_terms:
+        for term in self.usual_terms:
             if term.prior is not None and set(candidate.names) <= {*term.names}:
                 at = [term.names.index(name) for name in candidate.names]
                 usual = (term.prior.factor @ term.prior.factor.T)[np.ix_(at, at)]
-        own = _Compared(fitted, candidate, usual, self._sure)
-        if self._weigh is None or not (candidate.is_body and own.is_beyond):
+        own = _Compared(fitted, candidate, usual, self.sure)
+        if self.weigh is None or not (candidate.is_body and own.is_beyond):
             return own
         is_on = bool(own.values[0] > 0.0)
-        if is_on not in self._weighed:
-            self._weighed[is_on] = self._weigh(self._fitted, is_on)
-        return own.beside(*self._weighed[is_on])
+        if is_on not in self.weighed:
+            self.weighed[is_on] = self.weigh(self.fitted, is_on)
+        return own.beside(*self.weighed[is_on])
+
+
+@dataclass(frozen=True)
+class _State:
+    """What differs between two sides, as far as it was found; steps of the one loop of faults.
+
+    Attributes:
+        sides: that are compared.
+        changed: what differs.
+    """
+
+    sides: _Sides
+    changed: tuple[Candidate, ...] = ()
+
+    @cached_property
+    def compared(self) -> dict[Candidate, _Compared]:
+        """Each candidate in the fit in which it may differ, beside what does."""
+        every = self.sides.candidates
+        return {each: self.sides.compared(each, self.changed) for each in every}
+
+    @property
+    def has_body(self) -> bool:
+        """Whether a body has come on or off."""
+        return any(each.is_body for each in self.changed)
+
+    @property
+    def known(self) -> set[str]:
+        """Names of all that is no news any more."""
+        like_body = self.sides.like_body if self.has_body else ()
+        return {*chain(*(each.names for each in self.changed)), *like_body}
+
+    @property
+    def is_too_much(self) -> bool:
+        """Whether more differs than one arm explains."""
+        return len(self.changed) > _MOST
+
+    def step(self) -> _State:
+        """Return the state that the likeliest difference has joined, or a needless one has left."""
+        if self.is_too_much:
+            return self
+        # What was likeliest alone may be nothing beside what came after it.
+        for each in self.changed:
+            if not self.compared[each].is_beyond:
+                kept = tuple(other for other in self.changed if other is not each)
+                return replace(self, changed=kept)
+        others = [
+            own
+            for each, own in self.compared.items()
+            if own.is_beyond and not self.known.issuperset(each.names)
+        ]
+        if not others:
+            return self
+        # Errors by the jackknife are too uncertain to choose by.
+        joining = min(others, key=lambda own: own.chance).candidate
+        return replace(self, changed=(*self.changed, joining))
+
+    @property
+    def rows(self) -> list[Change]:
+        """A row for each number that is compared."""
+        rows: list[Change] = []
+        for each, own in self.compared.items():
+            beyond = ""
+            if each in self.changed:
+                beyond = DIFFERS
+            elif self.known.issuperset(each.names):
+                is_like_body = {*each.names} <= {*self.sides.like_body}
+                beyond = UNKNOWN if self.has_body and is_like_body else WITH_ALL
+            rows += _rows(own, beyond)
+        return rows
 
 
 def _too_much(changed: Sequence[Candidate]) -> str:

@@ -13,8 +13,6 @@ from itertools import compress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from robot_sysid.config import IdentifyConfig, PayloadConfig, with_scale_prior
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.fit import Fit
@@ -22,6 +20,7 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.faults import Finding
 from robot_sysid.faults.gate import judge, require_acceptable, usable_fit
+from robot_sysid.faults.misfits import misfit
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_logs, refuse_repeated_logs
 from robot_sysid.pipeline.changes import (
@@ -39,33 +38,13 @@ from robot_sysid.pipeline.changes import (
 )
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Recording, RobotModel
-from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
 from robot_sysid.records.file_access import RUN_NAME, read_toml
-from robot_sysid.records.levels import UNEXPLAINED
-from robot_sysid.records.messages import (
-    Level,
-    Progress,
-    count_text,
-    percent,
-    torque_unit,
-    with_error,
-)
+from robot_sysid.records.messages import Level, Progress, count_text, with_error
 from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
 
-# Faults that say that nothing explains a log.
-_MISFITS = (FaultName.MODEL, FaultName.UNEXPLAINED)
-# Faults of the arm, whatever they are worth.
-_OF_ARM = (
-    FaultName.TORQUE_SCALE,
-    FaultName.ZERO,
-    FaultName.TILT,
-    FaultName.DELAY,
-    FaultName.FORCE,
-    FaultName.PAYLOAD_STEP,
-    FaultName.FRICTION,
-)
 # Friction that holds a joint at a turn and lets go looks like a contact: it is said as what it is.
 _MOMENTARY = FaultName.CONTACT
 _LOOK = "look after these joints, and at the log by itself: robot-sysid log LOG MODEL"
@@ -224,16 +203,8 @@ def compare_with_model(
         if each.level is not Level.SAYS
         and each.about not in (_MOMENTARY, *config.log.accept)
     ]
-    rows: tuple[Change, ...] = ()
-    explains = is_certain = False
-    try:
-        differing = differences(judged.fit)
-        rows = differing.rows
-        is_certain = differing.is_certain
-        explains = differing.fit.unexplained_share < UNEXPLAINED
-    except SysidError:
-        # More differs than a few numbers: it does not fit.
-        explains = False
+    differing = differences(judged.fit)
+    rows, explains = differing.rows, differing.explains
     is_differing = any(row.reason == DIFFERS for row in rows)
     notes = friction_sentences(rows)
     if not (explains and is_differing):
@@ -244,27 +215,21 @@ def compare_with_model(
         found = [each for each in found if each.about is not FaultName.MODEL]
     # Numbers that explain all say more than what was found one after the other.
     if explains and (is_differing or not found):
-        verdict = verdict_on(rows, of_model=True)
-        if is_differing and not is_certain:
-            perhaps = verdict[0].replace("Differs", "Perhaps differs", 1)
-            verdict = (perhaps, *verdict[1:])
-            notes = (
-                f"perhaps, but not certain: {'; '.join(sentences(rows, True))}",
-                *notes,
-            )
-        return Check(names, (), is_certain, rows, verdict, notes)
-    is_misfit = judged.fit.unexplained_share > UNEXPLAINED
+        is_perhaps = is_differing and not differing.is_certain
+        if is_perhaps:
+            said = "; ".join(sentences(rows, True))
+            notes = (f"perhaps, but not certain: {said}", *notes)
+        verdict = verdict_on(rows, True, is_perhaps)
+        return Check(names, (), differing.is_certain, rows, verdict, notes)
     # A number that does not explain is no answer.
     rows = tuple(
         replace(row, reason=UNKNOWN) if row.reason == DIFFERS else row for row in rows
     )
-    lines = [
-        _misfit(judged.fit) if is_misfit and each.about in _MISFITS else each.text
-        for each in found
-    ]
+    if not found:
+        found = [misfit(judged.fit, judged.fit.unexplained_share)]
     remedies = dict.fromkeys(each.remedy for each in found if each.remedy)
     verdict = (
-        f"Differs from the model: {'; '.join(lines or [_misfit(judged.fit)])}",
+        f"Differs from the model: {'; '.join(each.text for each in found)}",
         f"What to do: {'; '.join(remedies) or _LOOK}",
     )
     return Check(names, (), True, rows, verdict, notes)
@@ -290,20 +255,11 @@ def _said(found: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(
         each.text
         for each in found
-        if each.level is Level.SAYS and each.about in _OF_ARM
+        if each.level is Level.SAYS
+        and each.about.needs >= Needs.COLUMNS
+        and each.about is not _MOMENTARY
+        and not each.about.stands_for & StandsFor.MOMENT
     )
-
-
-def _misfit(fitted: Fit) -> str:
-    """Return how much of each joint's torque nothing explains, the largest share first."""
-    shares = fitted.unexplained / np.maximum(fitted.sums.rms_torque, 1e-9)
-    order = np.argsort(-fitted.unexplained).tolist()
-    listed = ", ".join(
-        f"{fitted.arm.joints[k]} {percent(shares[k])} ({fitted.unexplained[k]:.2g} "
-        f"{torque_unit(fitted.arm.joints[k] in fitted.arm.robot.slides)})"
-        for k in order
-    )
-    return f"the torques do not fit, by these shares of each joint's: {listed}"
 
 
 def friction_sentences(rows: Sequence[Change]) -> tuple[str, ...]:
@@ -481,8 +437,16 @@ def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
     return lines
 
 
-def verdict_on(rows: Sequence[Change], of_model: bool = False) -> tuple[str, ...]:
-    """Return what has changed and what to do; or that nothing has, as far as the logs show."""
+def verdict_on(
+    rows: Sequence[Change], of_model: bool = False, is_perhaps: bool = False
+) -> tuple[str, ...]:
+    """Return what has changed and what to do; or that nothing has, as far as the logs show.
+
+    Args:
+        rows: the numbers that were compared.
+        of_model: whether they are differences from the model, and not from an earlier side.
+        is_perhaps: whether these may be links that are as wrong as usual.
+    """
     lines = sentences(rows, of_model)
     changed = [row.kind for row in rows if row.reason == DIFFERS]
     if not changed:
@@ -490,6 +454,7 @@ def verdict_on(rows: Sequence[Change], of_model: bool = False) -> tuple[str, ...
         return (f"{same}: {lines[0]}", *lines[1:])
     remedies = dict.fromkeys(_REMEDIES[kind] for kind in changed)
     differs = "Differs from the model" if of_model else "Changed"
+    differs = "Perhaps differs from the model" if is_perhaps else differs
     return f"{differs}: {'; '.join(lines)}", f"What to do: {'; '.join(remedies)}"
 
 
