@@ -57,9 +57,7 @@ LINK_SEEDS = 5
 CUTOFFS = (0.7, 1.4)
 """Factors on the cut-off that is chosen."""
 CONDITIONS = ("whole", "parts", "half_rate", "links", "cutoff")
-EXCUSE = re.compile(
-    r"at rest|record longer|independent samples|stands? still"
-)
+EXCUSE = re.compile(r"at rest|record longer|independent samples|stands? still")
 """Words of a refusal that is right: the log is too short, or the arm rests."""
 PROGRAM = (sys.executable, "-m", "robot_sysid")
 OTHER_CUTOFF = """

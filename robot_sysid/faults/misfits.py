@@ -99,6 +99,8 @@ LEAST_MEASURED = 0.032
 """Share of all torque that a fit leaves, noise included, from which on torque without friction was
 measured, by sensors behind the gears: of a Franka Panda 4.8 %, where computed torque with noise of
 its own leaves 2 %."""
+SENSOR_NOISE = 0.01
+"""The same of noise from sample to sample: what is computed from positions is smoother."""
 EXACT_TORQUE = 0.002
 """The same below which no torque was measured, if it has no noise from sample to sample: logs of
 real arms leave 0.9 to 5.5 %."""
@@ -474,13 +476,13 @@ def computed_findings(fitted: Fit) -> Iterator[Finding]:
     It has no friction, and less noise than a sensor behind the gears, which sees none either; or
     the fit leaves less of it than any sensor has noise, so that its friction is a formula, too.
     """
-    left = fitted.residual_share
+    left, noise = fitted.residual_share, fast_noise(fitted)
     share, error, distance = friction_share(fitted)
     is_absent = abs(share) < SURE * error and distance < FRICTION_DEVIATIONS
     # The friction of a real arm would show, behind its gears as well.
     is_known = error < LEAST_FRICTION / FRICTION_ERRORS
     has_none = is_absent and is_known and fitted.unexplained_share < UNEXPLAINED
-    if has_none and left < LEAST_MEASURED:
+    if has_none and left < LEAST_MEASURED and noise < SENSOR_NOISE:
         text = (
             "the torque follows rigid-body dynamics and has no friction (less than "
             f"{percent(INTERVAL * error)} of the torque): it was computed, or commanded by a "
@@ -494,7 +496,7 @@ def computed_findings(fitted: Fit) -> Iterator[Finding]:
                 f"{percent(of_model)} of it"
             )
         yield Finding(Level.DOUBTS, FaultName.COMPUTED, text, MEASURED)
-    elif left < EXACT_TORQUE and fast_noise(fitted) < NO_NOISE:
+    elif left < EXACT_TORQUE and noise < NO_NOISE:
         yield Finding(
             Level.DOUBTS,
             FaultName.COMPUTED,
