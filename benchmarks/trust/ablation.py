@@ -1,7 +1,7 @@
 """Which logs are judged otherwise without each condition, constant, level and row of the judging.
 
     OMP_NUM_THREADS=1 python -m benchmarks.trust.ablation MODELS_FOLDER [--real REAL_LOGS]
-        [--real-parts 66] [--wrong 40] [--right 40] [--seed 1] [--package robot_sysid.diagnosis]
+        [--real-parts 66] [--wrong 40] [--right 40] [--seed 1] [--package robot_sysid.faults]
         [--only TEXT] [--kinds operand test ...] [--most 0] [--rows FILE] [--jobs 1] [--limit 40]
         [--write]
 
@@ -555,7 +555,7 @@ def main() -> int:
     parser.add_argument("--wrong", type=int, default=40)
     parser.add_argument("--right", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--package", default="robot_sysid.diagnosis")
+    parser.add_argument("--package", default="robot_sysid.faults")
     parser.add_argument("--only", default="", help="part of place and source")
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
     parser.add_argument(
