@@ -125,7 +125,8 @@ class Reading:
         if not self.mixes:
             return np.asarray(np.sum(np.abs(self.torque), axis=1))
         is_changed = np.any(self.torque != np.eye(len(self.torque)), axis=1)
-        size = np.abs(np.linalg.det(self.torque)) ** (1.0 / max(np.sum(is_changed), 1))
+        count = max(int(np.count_nonzero(is_changed)), 1)
+        size = abs(float(np.linalg.det(self.torque))) ** (1.0 / count)
         return np.where(is_changed, size, 1.0)
 
     @property
