@@ -156,7 +156,13 @@ def found_in(
     state = read_as(Correction((), 0.0, fitted), evidence)
     for reading in readings(fitted, state, search, scales, evidence):
         other = read_as(reading, evidence)
-        state = max(state, other, key=lambda each: each.rank)
+        # One joint that all others contradict is simpler than factors of several.
+        names = {score.name for score in state.joined}
+        is_simpler = reading is scales.alone and names == {FaultName.TORQUE_SCALE}
+        if other.explains and is_simpler:
+            state = other
+        else:
+            state = max(state, other, key=lambda each: each.rank)
     return state
 
 
