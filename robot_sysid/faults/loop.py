@@ -158,7 +158,7 @@ def found_in(
         other = read_as(reading, evidence)
         # One joint that all others contradict is simpler than factors of several.
         names = {score.name for score in state.joined}
-        is_simpler = reading is scales.alone and names == {FaultName.TORQUE_SCALE}
+        is_simpler = names == {FaultName.TORQUE_SCALE} and reading is scales.alone
         if other.explains and is_simpler:
             state = other
         else:
@@ -182,7 +182,7 @@ def readings(
     is_right = fits(fitted) and not any(map(is_like_gravity, state.joined))
     # Links that may be off hide much of a direction that was stated the wrong way round.
     is_right = is_right and fitted.arm.robot.gravity is None
-    if scales.alone is not None:
+    if search.shows_factor and scales.alone is not None:
         tried.append(scales.alone)
     if state.rounds or not is_right:
         tried += zero_correction(search, evidence)

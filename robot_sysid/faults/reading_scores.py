@@ -8,20 +8,24 @@ Throughout, J is the number of joints with equations, n that of the chain's, k t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import COULOMB
+from robot_sysid.dynamics.inverse_dynamics import ARRAY_SIZE
 from robot_sysid.estimate.equations.inverse import rough_solution
 from robot_sysid.estimate.fit import Equations, equations_of
-from robot_sysid.estimate.rows import Rows, of_rounding, row_chunks
+from robot_sysid.estimate.rows import Rows, of_rounding
 from robot_sysid.estimate.terms import ArmTerms, Point, Term
-from robot_sysid.faults.readings import Reading
+from robot_sysid.faults.readings import Reading, directions
 from robot_sysid.records import Array
 from robot_sysid.records.parameters import Parameter
-from robot_sysid.signals.process import FilteredRecording
+from robot_sysid.signals.process import FilteredRecording, KeptColumns, Mask
 
+Positions = tuple[bytes, ...]
+Key = tuple[Positions, bytes, float]
 KEPT = 60
 """Readings of positions of which the products are kept: 0.7 MB each, of an arm of seven joints."""
 FIRST_NOISE = 0.05
@@ -73,50 +77,108 @@ class ReadingScores:
         left = self._equations.selection[:, -1:]
         torques = np.eye(len(left))[:, sums.at(recorded.names)]
         self._sides = np.concatenate((left, torques), axis=1)
-        self._kept: dict[tuple[bytes, ...], Products] = {}
-        self._scores: dict[tuple[bytes, ...], float] = {}
+        # Rows that no filter passes over stand for themselves, beside whichever others they stand.
+        is_apart = all(len(each.low_pass.kernel) == 1 for each in recordings)
+        size = sum(map(len, recordings)) * len(arm.joints) * len(self._arm.names)
+        self._at_once = max(1, ARRAY_SIZE // max(size, 1)) if is_apart else 1
+        self._gravity = self._arm.start().gravity
+        self._kept: dict[Positions, Products] = {}
+        self._scores: dict[Key, float] = {}
 
-    def score(self, reading: Reading, share: float) -> float:
-        """Return the log likelihood of the log that is read otherwise, but for a constant.
+    def scores(self, readings: Sequence[Reading], share: float) -> list[float]:
+        """Return the log likelihoods of the log that is read in some ways, but for a constant.
 
         Residuals below a ``share`` of all torque do not count.
         """
-        gravity = reading.gravity
-        gravity = self._arm.start().gravity if gravity is None else gravity
-        numbers = (reading.position, reading.zeros, gravity, np.array(reading.time))
-        of_positions = tuple(each.tobytes() for each in numbers)
-        key = (*of_positions, reading.torque.tobytes(), np.array(share).tobytes())
-        if key not in self._scores:
-            if of_positions not in self._kept:
-                if len(self._kept) >= KEPT:
-                    self._kept.clear()
-                self._kept[of_positions] = self._products(reading)
-            products = self._kept[of_positions]
-            self._scores[key] = self._score_of(products, reading, share)
-        return self._scores[key]
+        keys = [
+            (self._positions_of(reading), reading.torque.tobytes(), share)
+            for reading in readings
+        ]
+        new = {
+            key: reading
+            for key, reading in zip(keys, readings)
+            if key not in self._scores
+        }
+        for batch in self._batches(new):
+            self._make({key[0]: new[key] for key in batch})
+            for key in batch:
+                products = self._kept[key[0]]
+                self._scores[key] = self._score_of(products, new[key], share)
+        return [self._scores[key] for key in keys]
 
-    def _products(self, reading: Reading) -> Products:
-        """Return the products of the log with positions that are read otherwise."""
+    def _positions_of(self, reading: Reading) -> Positions:
+        """Return what tells the positions of a reading, and gravity, from those of another."""
+        gravity = self._gravity if reading.gravity is None else reading.gravity
+        numbers = reading.position, reading.zeros, gravity, np.array(reading.time)
+        return tuple(each.tobytes() for each in numbers)
+
+    def _batches(self, keys: Iterable[Key]) -> Iterator[list[Key]]:
+        """Yield keys in turn, with as many positions that were not made as are made at once."""
+        batch: list[Key] = []
+        new: set[Positions] = set()
+        for key in keys:
+            batch.append(key)
+            if key[0] not in self._kept:
+                new.add(key[0])
+            if len(new) == self._at_once:
+                yield batch
+                batch = []
+                new = set()
+        if batch:
+            yield batch
+
+    def _make(self, readings: dict[Positions, Reading]) -> None:
+        """Keep the products of readings of positions, which are made at once where they can be.
+
+        Many short arrays take longer than a few long ones.
+        """
+        if len(self._kept.keys() | readings.keys()) > KEPT:
+            self._kept.clear()
+        new = {at: read for at, read in readings.items() if at not in self._kept}
+        by_gravity: dict[bytes, list[Positions]] = {}
+        for positions in new:
+            by_gravity.setdefault(positions[2], []).append(positions)
+        for alike in by_gravity.values():
+            made = self._rows([new[positions] for positions in alike])
+            for positions, rows in zip(alike, made):
+                self._kept[positions] = self._products(rows)
+
+    def _rows(self, readings: Sequence[Reading]) -> list[list[tuple[Array, Mask]]]:
+        """Return, for each reading with one gravity, the rows of each recording, and the used ones.
+
+        Rows are [A b] (m, J, p + 1), as torques were recorded, and used (m, J).
+        """
         arm = self._arm
-        as_recorded = replace(reading, torque=np.eye(len(reading.torque)))
+        gravity = readings[0].gravity
         point = arm.start()
-        if reading.gravity is not None:
-            point = replace(point, gravity=reading.gravity)
-        size = len(arm.names) + 1
-        every = np.zeros((len(arm.joints), size, size))
-        counts = np.zeros(len(arm.joints))
+        point = point if gravity is None else replace(point, gravity=gravity)
+        made: list[list[tuple[Array, Mask]]] = [[] for _ in readings]
         for recording in self._recordings:
-            chunks = row_chunks(as_recorded.apply(recording), size * len(arm.joints))
-            for rows, is_used in (arm.equations(chunk, point) for chunk in chunks):
-                counts += np.sum(is_used, axis=0)
-                for joint, total in enumerate(every):
-                    own = rows[is_used[:, joint], joint]
-                    at = np.flatnonzero(np.any(own, axis=0))
-                    own = own[:, at]
-                    total[at[:, None], at] += own.T @ own
+            read = [
+                replace(reading, torque=np.eye(len(reading.torque))).apply(recording)
+                for reading in readings
+            ]
+            together = one_after_another(read) if len(read) > 1 else read[0]
+            rows, is_used = arm.equations(Rows(together, slice(None)), point)
+            parts = zip(np.split(rows, len(read)), np.split(is_used, len(read)))
+            for own, part in zip(made, parts):
+                own.append(part)
+        return made
+
+    def _products(self, parts: Sequence[tuple[Array, Mask]]) -> Products:
+        """Return the products of rows [A b] (m, J, p + 1), of which some are used (m, J)."""
+        joints, size = parts[0][0].shape[1:]
+        every = np.zeros((joints, size, size))
+        for rows, is_used in parts:
+            for joint, total in enumerate(every):
+                own = rows[is_used[:, joint], joint]
+                at = np.flatnonzero(np.any(own, axis=0))
+                own = own[:, at]
+                total[at[:, None], at] += own.T @ own
         for total in every:
             at = of_rounding(np.diag(total))
             total[at] = total[:, at] = 0.0
+        counts = np.sum([np.sum(is_used, axis=0) for _, is_used in parts], axis=0)
         moved = every @ self._sides
         own = self._equations.index
         return Products(
@@ -155,6 +217,51 @@ class ReadingScores:
             squares = squared - 2.0 * (cross @ values) + (own @ values) @ values
             noise = np.maximum(np.sqrt(np.maximum(squares, 0.0) / counts), least)
         return likelihood(equations, values, counts, noise / factors)
+
+
+def of_rows_alone(recording: FilteredRecording) -> FilteredRecording:
+    """Return a recording whose samples are its rows, so that to read them otherwise is fast.
+
+    The one column that is made of all samples is kept: the direction of each joint's friction.
+    """
+    motion = recording.motion
+    count = len(recording)
+    return replace(
+        recording,
+        time=motion.time,
+        q=motion.q,
+        qd=motion.qd,
+        qdd=motion.qdd,
+        tau=recording.torque,
+        bridged=np.zeros(count, dtype=bool),
+        from_turn=np.full(motion.q.shape, np.inf),
+        low_pass=replace(recording.low_pass, kernel=np.ones(1), step=1),
+        every=1,
+        chosen=recording.is_used,
+        kept=KeptColumns({COULOMB.name: directions(recording)}),
+    )
+
+
+def one_after_another(recordings: Sequence[FilteredRecording]) -> FilteredRecording:
+    """Return one recording of the rows of several, as from ``of_rows_alone``."""
+    alone = [*map(of_rows_alone, recordings)]
+
+    def joined(values: Iterable[Array]) -> Array:
+        """Return the values of all recordings."""
+        return np.concatenate([*values])
+
+    return replace(
+        alone[0],
+        time=joined(each.time for each in alone),
+        q=joined(each.q for each in alone),
+        qd=joined(each.qd for each in alone),
+        qdd=joined(each.qdd for each in alone),
+        tau=joined(each.tau for each in alone),
+        bridged=joined(each.bridged for each in alone),
+        from_turn=joined(each.from_turn for each in alone),
+        chosen=joined(each.is_used for each in alone),
+        kept=KeptColumns({COULOMB.name: joined(map(directions, alone))}),
+    )
 
 
 def recorded_torque(arm: ArmTerms) -> Term:

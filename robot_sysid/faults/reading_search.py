@@ -13,12 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, combinations
+from itertools import chain, combinations, compress
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -29,7 +28,6 @@ from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import MOTORS
 from robot_sysid.faults import Finding
 from robot_sysid.faults.columns import INERTIAL, fault_columns
@@ -41,7 +39,7 @@ from robot_sysid.faults.plausibility import (
     model_torque,
     structural,
 )
-from robot_sysid.faults.reading_scores import ReadingScores, likelihood
+from robot_sysid.faults.reading_scores import ReadingScores, likelihood, of_rows_alone
 from robot_sysid.faults.readings import (
     ANY_ANGLES,
     GEARS,
@@ -66,7 +64,7 @@ from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.records.messages import Level, with_error
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE
-from robot_sysid.signals.process import FilteredRecording, KeptColumns
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name, with_option_names
 
 ROWS = 250
@@ -112,6 +110,8 @@ tilt, or a fault of the torque [degrees]."""
 MOUNTING_TILT = 15.0
 """Tilt that is allowed about one of the 26 directions: they are at most some 27 degrees from the
 true one, usually half as much [degrees]."""
+FACTORS = (0.8, 1.25)
+"""Factors on one joint's torque that are tried: the one that is right is found from there."""
 OF_WRIST = 4
 """Last joints of which two may be exchanged, or turned by motors of both, in a log that fits."""
 GEAR_STEP = np.log(GEARS[-1] / GEARS[-2])
@@ -197,31 +197,6 @@ def part_of_rows(fitted: Fit, count: int) -> tuple[tuple[FilteredRecording, ...]
     return tuple(recordings), every
 
 
-def of_rows_alone(recording: FilteredRecording) -> FilteredRecording:
-    """Return a recording whose samples are its rows, so that to read them otherwise is fast.
-
-    The one column that is made of all samples is kept: the direction of each joint's friction.
-    """
-    rows = Rows(recording, slice(None))
-    dry = rows.low_passed(COULOMB.name, lambda motion: np.sign(motion.qd))
-    motion = recording.motion
-    count = len(recording)
-    return replace(
-        recording,
-        time=motion.time,
-        q=motion.q,
-        qd=motion.qd,
-        qdd=motion.qdd,
-        tau=recording.torque,
-        bridged=np.zeros(count, dtype=bool),
-        from_turn=np.full(motion.q.shape, np.inf),
-        low_pass=replace(recording.low_pass, kernel=np.ones(1), step=1),
-        every=1,
-        chosen=recording.is_used,
-        kept=KeptColumns({COULOMB.name: dry}),
-    )
-
-
 class ReadingSearch:
     """Compares readings of a log on a part of its rows, for all searches in it.
 
@@ -247,15 +222,21 @@ class ReadingSearch:
         if not any(term.cause == MOTORS for term in needed):
             # A motor of two joints has a direction of its own.
             recordings = tuple(map(of_rows_alone, recordings))
-        self.scores = ReadingScores(self.arm, recordings, terms)
+        self._scores = ReadingScores(self.arm, recordings, terms)
 
     def score(self, found: Sequence[Mistake], share: float = LEAST_RESIDUAL) -> float:
         """Return the log likelihood of the log without mistakes, but for a constant.
 
         Residuals below a ``share`` of all torque do not count.
         """
-        reading = Reading.of(self.arm.robot.n_joints, found)
-        return self.scores.score(reading, share)
+        return self.scores([found], share)[0]
+
+    def scores(
+        self, ways: Sequence[Sequence[Mistake]], share: float = LEAST_RESIDUAL
+    ) -> list[float]:
+        """Return ``score`` of each of some ways to read the log."""
+        n = self.arm.robot.n_joints
+        return self._scores.scores([Reading.of(n, way) for way in ways], share)
 
     def one_by_one(self, tried: Sequence[Mistake], evidence: Evidence) -> list[Mistake]:
         """Return mistakes that each gain alone, of joints that make little torque as well."""
@@ -283,23 +264,17 @@ class ReadingSearch:
         """
         n = self.arm.robot.n_joints
 
-        def score(zero: Mistake) -> float:
-            """Return the log likelihood of the log without a zero."""
-            return self.score([zero], FINE_RESIDUAL)
-
-        shown = [joint for joint in self.moving if self._shows_zero(joint)]
-        tried = [*zeros(self.arm.robot, shown, ANY_ANGLES)]
+        tried = [*zeros(self.arm.robot, self.shown, ANY_ANGLES)]
         if not tried:
             return []
-        most, best = max(((score(each), each) for each in tried), key=lambda w: w[0])
+        most, best = self._best(tried)
         joint = int(np.argmax(np.abs(best.reading.zeros)))
         step = ZERO_STEP
         for _ in range(ZERO_ROUNDS):
             step *= 0.5
             angle = best.reading.zeros[joint]
             ways = [zero_of(n, joint, angle + side) for side in (-step, step)]
-            scored = [(most, best), *((score(each), each) for each in ways)]
-            most, best = max(scored, key=lambda way: way[0])
+            most, best = self._best([best, *ways])
         is_clear = most > self.score([], FINE_RESIDUAL) + CLEAR
         angle = best.reading.zeros[joint]
         beside = abs(angle - RIGHT_ANGLE * round(angle / RIGHT_ANGLE))
@@ -313,18 +288,14 @@ class ReadingSearch:
         No rate is tried for torques in another unit: a factor on them is none on their inertia.
         """
         robot = self.arm.robot
-        shown = [*filter(self._shows_zero, self.moving)]
         tried = [*angle_units(robot, self.moving)]
-        tried += gear_ratios(robot, self.moving, shown)
+        tried += gear_ratios(robot, self.moving, self.shown)
         if not is_foreign(self.fitted):
             tried += time_bases(robot)
-
-        def score(mistake: Mistake) -> float:
-            """Return the log likelihood of the log without a mistake."""
-            return self.score([mistake], FINE_RESIDUAL)
-
-        best = max(tried, key=score, default=None)
-        if best is None or score(best) < self.score([], FINE_RESIDUAL) + CLEAR:
+        if not tried:
+            return []
+        most, best = self._best(tried)
+        if most < self.score([], FINE_RESIDUAL) + CLEAR:
             return []
         gear = gear_in(best.reading)
         if gear is not None:
@@ -334,7 +305,7 @@ class ReadingSearch:
                 step *= 0.5
                 ways = [factor, factor * np.exp(step), factor * np.exp(-step)]
                 gears = [gear_of(robot, joint, way, is_of_motor) for way in ways]
-                best = max(gears, key=score)
+                _, best = self._best(gears)
                 factor = float(ways[gears.index(best)])
         return [best]
 
@@ -342,10 +313,26 @@ class ReadingSearch:
     def motors(self) -> list[Mistake]:
         """The motors of two joints of a wrist with which the log reads best; [] for none."""
         tried = [*shared_motors(self.arm.robot, self.moving[-OF_WRIST:])]
-        scores = [self.score([each], FINE_RESIDUAL) for each in tried]
-        most = max(scores, default=-np.inf)
-        is_clear = most > self.score([], FINE_RESIDUAL) + CLEAR
-        return [tried[scores.index(most)]] if is_clear else []
+        if not tried:
+            return []
+        most, best = self._best(tried)
+        return [best] if most > self.score([], FINE_RESIDUAL) + CLEAR else []
+
+    @property
+    def shows_factor(self) -> bool:
+        """Whether a factor on the torque of one joint makes the log clearly likelier."""
+        n = self.arm.robot.n_joints
+        ways = np.ones((2, len(self.moving), n))
+        for way, factor in zip(ways, FACTORS):
+            way[range(len(way)), self.moving] = factor
+        readings = [*map(Reading.with_torque_times, ways.reshape(-1, n))]
+        scores = self._scores.scores([Reading.of(n), *readings], FINE_RESIDUAL)
+        return max(scores[1:], default=-np.inf) > scores[0] + CLEAR
+
+    def _best(self, tried: Sequence[Mistake]) -> tuple[float, Mistake]:
+        """Return the mistake that alone fits best, the first of equal ones, after its score."""
+        scores = self.scores([[each] for each in tried], FINE_RESIDUAL)
+        return max(zip(scores, tried), key=lambda way: way[0])
 
     def _signs(self, tried: Sequence[Mistake]) -> tuple[float, list[Mistake]]:
         """Return the likeliest turned signs of torques, two at least, with their likelihood."""
@@ -354,7 +341,8 @@ class ReadingSearch:
             return -np.inf, []
         counts = range(2, len(turned) + 1)
         ways = chain.from_iterable(combinations(turned, count) for count in counts)
-        scored = [(self.score(way, FINE_RESIDUAL), [*way]) for way in ways]
+        tried = [[*way] for way in ways]
+        scored = zip(self.scores(tried, FINE_RESIDUAL), tried)
         return max(scored, default=(-np.inf, []), key=lambda way: way[0])
 
     def best_together(
@@ -383,25 +371,27 @@ class ReadingSearch:
 
     def _pairs(self, tried: Sequence[Mistake]) -> Iterator[Mistake]:
         """Yield pairs of zeros: beside another wrong one, one alone may fit worse than none."""
-        shown = [joint for joint in self.moving if self._shows_zero(joint)]
-        turned = [each for each in tried if np.any(each.reading.zeros[shown])]
+        turned = [each for each in tried if np.any(each.reading.zeros[self.shown])]
         for both in combinations(turned, 2):
             reading = Reading.of(self.arm.robot.n_joints, both)
             # Two of one joint are a third one, or none.
             if np.count_nonzero(reading.zeros) == 2:
                 yield Mistake(FaultName.ZERO, "", reading)
 
-    def _shows_zero(self, joint: int) -> bool:
-        """Return whether the log would show a zero of a joint.
+    @cached_property
+    def shown(self) -> list[int]:
+        """Numbers of the joints of which the log would show a zero.
 
         That about an upright axis is another heading of the base, and that of the last joint turns
         the last link, which is free. A slide has none that is turned.
         """
-        if self.arm.robot.is_slide[joint]:
-            return False
-        turned = zero_of(self.arm.robot.n_joints, joint, RIGHT_ANGLE)
-        change = self.score([turned], FINE_RESIDUAL) - self.score([], FINE_RESIDUAL)
-        return abs(change) > ALIKE
+        robot = self.arm.robot
+        joints = [joint for joint in self.moving if not robot.is_slide[joint]]
+        ways = [[zero_of(robot.n_joints, joint, RIGHT_ANGLE)] for joint in joints]
+        change = np.subtract(
+            self.scores(ways, FINE_RESIDUAL), self.score([], FINE_RESIDUAL)
+        )
+        return [*compress(joints, np.abs(change) > ALIKE)]
 
     def _longer(
         self,
@@ -411,7 +401,7 @@ class ReadingSearch:
     ) -> list[tuple[float, list[Mistake]]]:
         """Return (log likelihood, mistakes) with one more each, the likeliest first."""
         ways = [[*found, each] for each in tried]
-        scores = np.array([self.score(way, share) for way in ways])
+        scores = np.array(self.scores(ways, share))
         # Equally likely ones keep their order.
         order = np.argsort((np.max(scores) - scores) // ALIKE, kind="stable")
         return [(scores[k], ways[k]) for k in order.tolist()]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.rows import Rows
 from robot_sysid.faults import ColumnCorrection
@@ -95,8 +96,7 @@ class Reading:
     def apply(self, recording: FilteredRecording) -> FilteredRecording:
         """Return a recording read so, of which as many rows are used."""
         position = self.position.T
-        rows = Rows(recording, slice(None))
-        dry = rows.low_passed("coulomb", lambda motion: np.sign(motion.qd))
+        dry = directions(recording)
         # A joint's rows are those in which it moves.
         return recording.using(
             recording.is_used @ (position != 0.0),
@@ -106,7 +106,7 @@ class Reading:
             tau=recording.tau @ self.torque.T,
             touched=(),
             # The direction of friction is that of the speed; one of two motors has its own.
-            columns=None if self.mixes else {"coulomb": dry @ np.sign(position)},
+            columns=None if self.mixes else {COULOMB.name: dry @ np.sign(position)},
         )
 
     @property
@@ -149,6 +149,12 @@ class Reading:
             sources(self.torque),
             tuple(zeros.tolist()) if np.any(zeros) else (),
         )
+
+
+def directions(recording: FilteredRecording) -> Array:
+    """Return the direction (K, n) of each joint's friction in a recording, low-passed."""
+    rows = Rows(recording, slice(None))
+    return rows.low_passed(COULOMB.name, lambda motion: np.sign(motion.qd))
 
 
 def sources(matrix: Array) -> tuple[tuple[int, float], ...]:

@@ -14,7 +14,7 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.faults.columns import fault_columns
 from robot_sysid.faults.plausibility import structural
 from robot_sysid.faults.reading_search import ReadingSearch, gain_between, is_own
-from robot_sysid.faults.readings import Reading, gear_of, turned_signs
+from robot_sysid.faults.readings import Mistake, Reading, gear_of, turned_signs
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.process import low_pass_recordings
@@ -85,7 +85,8 @@ def test_a_log_is_no_likelier_because_its_torques_are_smaller(right, factor):
     assert gain_between(right, scaled, reading) == pytest.approx(0.0, abs=1e-9)
     search = ReadingSearch(right)
     # What is left is not scaled: a right log is likelier as it is.
-    assert search.scores.score(reading, 1e-3) < search.score([], 1e-3)
+    mistake = Mistake(FaultName.TORQUE_SCALE, "", reading)
+    assert search.score([mistake], 1e-3) < search.score([], 1e-3)
 
 
 @pytest.mark.slow
