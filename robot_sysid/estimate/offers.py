@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.identifiability import ROUNDING
@@ -180,20 +181,36 @@ class Offers:
         They are those of rows, or of successive rows if ``lagged``.
         """
         sums = self.sums
-        columns = sums.columns[joint]
-        acts = effect.joint in (None, joint)
-        selection = np.equal.outer(columns, sums.at(effect.names)) & acts
-        shares = np.ones(1) if effect.shares is None else effect.shares
-        blocks = self._totals(lagged)[joint][None]
-        if effect.shares is not None:
-            blocks = sums.products[joint][int(lagged)]
-        # The effect has few of all columns.
-        own = np.flatnonzero(np.any(selection, axis=1))
-        further = selection[own]
-        blocks = blocks[:, :, own]
-        squares = np.tensordot(shares**2, blocks[:, own], 1)
-        cross = np.tensordot(shares, blocks, 1) @ further
-        return cross, further.T @ squares @ further
+        count = len(effect.names)
+        cross = np.zeros((len(sums.columns[joint]), count))
+        squares = np.zeros((count, count))
+        if effect.joint not in (None, joint):
+            return cross, squares
+        at = self._places[joint][sums.at(effect.names)]
+        # The effect has few of all columns, and a joint's rows not all of these.
+        there = np.flatnonzero(at >= 0)
+        own = at[there]
+        if effect.shares is None:
+            total = self._totals(lagged)[joint]
+            cross[:, there] = total[:, own]
+            squares[there[:, None], there] = total[own[:, None], own]
+        else:
+            blocks = sums.products[joint][int(lagged)][:, :, own]
+            cross[:, there] = np.tensordot(effect.shares, blocks, 1)
+            squares[there[:, None], there] = np.tensordot(
+                effect.shares**2, blocks[:, own], 1
+            )
+        return cross, squares
+
+    @cached_property
+    def _places(self) -> list[NDArray[np.int64]]:
+        """Per joint (p + 1,) the place of each parameter among its columns; -1 for none."""
+        places = []
+        for columns in self.sums.columns:
+            place = np.full(len(self.sums.names) + 1, -1)
+            place[columns] = np.arange(len(columns))
+            places.append(place)
+        return places
 
     def after(self, offer: Offer, lagged: bool) -> tuple[Array, Array]:
         """Return what an offer changes in each joint's sums of squares (J,), and determines (J,).

@@ -181,7 +181,12 @@ class Sums:
 
     def at(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of named parameters."""
-        return indices_of(names, self.names)
+        return np.array([self._numbers[name] for name in names], dtype=np.int64)
+
+    @cached_property
+    def _numbers(self) -> dict[str, int]:
+        """Name of each parameter to its index."""
+        return {name: number for number, name in enumerate(self.names)}
 
     def of_blocks(self, blocks: Sequence[int] | None) -> Sequence[Array]:
         """Return per joint (k, k) the products of some blocks; of all of them with None."""

@@ -102,11 +102,11 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
         return Found(kept, right)
     if any(finding.level is not Level.SAYS for finding in named):
         return Found(named, right)
-    answer = answer_of(state.current)
+    answer = answer_of(right)
     if right is not fitted:
         scales = ScaleCorrections(right, evidence)
     named += [*model_findings(state, scales, answer), *own_findings(right)]
-    return Found(named, right, answer if state.current is fitted else None)
+    return Found(named, right, answer if right is fitted else None)
 
 
 def class_findings(fitted: Fit, search: ReadingSearch) -> Iterator[Finding]:

@@ -180,17 +180,19 @@ def readings(
     """
     tried = [*sign_correction(search, evidence), *unit_correction(search)]
     is_right = fits(fitted) and not any(map(is_like_gravity, state.joined))
-    # Links that may be off hide much of a direction that was stated the wrong way round.
-    is_right = is_right and fitted.arm.robot.gravity is None
     if search.shows_factor and scales.alone is not None:
         tried.append(scales.alone)
-    if state.rounds or not is_right:
+    is_noted = all(score.level is Level.SAYS for score in state.joined)
+    if not (is_right and is_noted):
         tried += zero_correction(search, evidence)
     if not is_right:
         tried += scales.each()
-        tried += column_correction(search, evidence)
+        tried += column_correction(search, search.mistakes, evidence)
     else:
         tried += exchange_correction(search, evidence)
+    if is_right and fitted.arm.robot.gravity is not None:
+        # Links that may be off hide much of a direction that was stated the wrong way round.
+        tried += column_correction(search, search.mountings, evidence)
     for each in tried:
         if is_likely(each, fitted):
             yield each

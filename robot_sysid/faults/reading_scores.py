@@ -58,7 +58,7 @@ class ReadingScores:
 
     Args:
         arm: the terms that are needed.
-        recordings: the log.
+        recordings: the log, as from ``of_rows_alone``.
         terms: the question.
     """
 
@@ -77,10 +77,8 @@ class ReadingScores:
         left = self._equations.selection[:, -1:]
         torques = np.eye(len(left))[:, sums.at(recorded.names)]
         self._sides = np.concatenate((left, torques), axis=1)
-        # Rows that no filter passes over stand for themselves, beside whichever others they stand.
-        is_apart = all(len(each.low_pass.kernel) == 1 for each in recordings)
         size = sum(map(len, recordings)) * len(arm.joints) * len(self._arm.names)
-        self._at_once = max(1, ARRAY_SIZE // max(size, 1)) if is_apart else 1
+        self._at_once = max(1, ARRAY_SIZE // max(size, 1))
         self._gravity = self._arm.start().gravity
         self._kept: dict[Positions, Products] = {}
         self._scores: dict[Key, float] = {}
@@ -158,8 +156,8 @@ class ReadingScores:
                 replace(reading, torque=np.eye(len(reading.torque))).apply(recording)
                 for reading in readings
             ]
-            together = one_after_another(read) if len(read) > 1 else read[0]
-            rows, is_used = arm.equations(Rows(together, slice(None)), point)
+            together = Rows(one_after_another(read), slice(None))
+            rows, is_used = arm.equations(together, point)
             parts = zip(np.split(rows, len(read)), np.split(is_used, len(read)))
             for own, part in zip(made, parts):
                 own.append(part)
@@ -222,7 +220,8 @@ class ReadingScores:
 def of_rows_alone(recording: FilteredRecording) -> FilteredRecording:
     """Return a recording whose samples are its rows, so that to read them otherwise is fast.
 
-    The one column that is made of all samples is kept: the direction of each joint's friction.
+    Of the columns that are made of all samples the direction of each joint's friction is kept; that
+    of a motor which turns several joints is made of the rows, as of any other reading.
     """
     motion = recording.motion
     count = len(recording)

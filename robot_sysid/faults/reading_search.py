@@ -53,6 +53,7 @@ from robot_sysid.faults.readings import (
     gear_ratios,
     is_torque_sign,
     mistakes,
+    mountings,
     shared_motors,
     time_bases,
     turned_signs,
@@ -219,10 +220,7 @@ class ReadingSearch:
         self.arm = fitted.arm.of(needed)
         terms = arm_question(self.arm, question, fitted.sums.rms_torque)
         recordings, _ = part_of_rows(fitted, ROWS)
-        if not any(term.cause == MOTORS for term in needed):
-            # A motor of two joints has a direction of its own.
-            recordings = tuple(map(of_rows_alone, recordings))
-        self._scores = ReadingScores(self.arm, recordings, terms)
+        self._scores = ReadingScores(self.arm, [*map(of_rows_alone, recordings)], terms)
 
     def score(self, found: Sequence[Mistake], share: float = LEAST_RESIDUAL) -> float:
         """Return the log likelihood of the log without mistakes, but for a constant.
@@ -255,6 +253,16 @@ class ReadingSearch:
                 break
             score, found = after, longer
         return found
+
+    @property
+    def mistakes(self) -> list[Mistake]:
+        """Every mistake that is tried."""
+        return [*mistakes(self.arm.robot, self.moving)]
+
+    @property
+    def mountings(self) -> list[Mistake]:
+        """Other directions of gravity."""
+        return [*mountings(self.arm.robot)]
 
     def best_zero(self) -> list[Mistake]:
         """Return the zero of one joint, to a degree, with which the log reads best; [] for none.
@@ -544,13 +552,12 @@ def exchange_correction(
 
 
 def column_correction(
-    search: ReadingSearch, evidence: Evidence
+    search: ReadingSearch, tried: Sequence[Mistake], evidence: Evidence
 ) -> Iterator[Correction]:
-    """Yield the correction of the mistakes that fit best together, if there are any.
+    """Yield the correction of those mistakes that fit best together, if there are any.
 
     They are the first ones with which the whole log fits.
     """
-    tried = [*mistakes(search.arm.robot, search.moving)]
     yield from correction_of(search.fitted, search.best_together(tried, evidence), 1)
 
 
