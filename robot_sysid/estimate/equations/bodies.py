@@ -16,9 +16,14 @@ in an orthonormal basis of symmetric matrices, which are also the rows of Clarab
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader, FileFinder
+from importlib.util import module_from_spec
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -326,6 +331,7 @@ def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Arra
     # Most runs need no body.
     import clarabel
 
+    _load_lapack()
     count, size = len(equations), equations.shape[1] - 1
     every = np.eye(size, size + count)
     at_least = np.flatnonzero(np.isfinite(lower))
@@ -366,6 +372,25 @@ def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Arra
         if str(solution.status) in ("Solved", "AlmostSolved"):
             return np.asarray(solution.x)[:size]
     return np.zeros(size)
+
+
+@cache
+def _load_lapack() -> None:
+    """Load the two modules of SciPy in which Clarabel looks up LAPACK, and nothing around them.
+
+    Their package takes as long to import as all searches of a log. Where a release of SciPy has
+    them elsewhere, Clarabel imports the package.
+    """
+    import scipy
+
+    folder = str(Path(scipy.__file__).parent / "linalg")
+    finder = FileFinder(folder, (ExtensionFileLoader, EXTENSION_SUFFIXES))
+    for name in ("scipy.linalg.cython_blas", "scipy.linalg.cython_lapack"):
+        spec = None if name in sys.modules else finder.find_spec(name)
+        if spec is not None and spec.loader is not None:
+            module = module_from_spec(spec)
+            spec.loader.exec_module(module)
+            sys.modules[name] = module
 
 
 def _units(theta: Array) -> Array:
