@@ -342,6 +342,32 @@ class LinkEvidence:
     def log_likelihood(self, scales: LinkScales) -> float:
         """Return log p(S) up to a constant."""
         scale = deviations(self.stated, self.share, scales, self.common)
+        return self._log_likelihood_of(scale)
+
+    def log_likelihoods(self, scales: Sequence[LinkScales]) -> Array:
+        """Return the same (m,) of several scales, at once."""
+        scale = np.array(
+            [deviations(self.stated, self.share, each, self.common) for each in scales]
+        )
+        count, size = scale.shape
+        bordered = np.zeros((count, size + 1, size + 1))
+        np.multiply(self.curvature, scale[:, :, None], out=bordered[:, :-1, :-1])
+        bordered[:, :-1, :-1] *= scale[:, None, :]
+        bordered[:, range(size), range(size)] += 1.0
+        gradient = scale * self.gradient
+        bordered[:, -1, :-1] = gradient
+        bordered[:, -1, -1] = 1.0 + 2.0 * np.sum(gradient**2, axis=1)
+        try:
+            roots = np.linalg.cholesky(bordered)
+        except np.linalg.LinAlgError:
+            return np.array([*map(self._log_likelihood_of, scale)])
+        halves = roots[:, -1, :-1]
+        diagonals = np.diagonal(roots, axis1=1, axis2=2)[:, :-1]
+        logs = np.sum(np.log(diagonals), axis=1)
+        return np.asarray(0.5 * np.sum(halves**2, axis=1) - logs)
+
+    def _log_likelihood_of(self, scale: Array) -> float:
+        """Return the log likelihood of deviations (10 L + 2,)."""
         gradient = scale * self.gradient
         matrix = scale[:, None] * self.curvature * scale
         matrix.flat[:: len(scale) + 1] += 1.0
@@ -379,9 +405,8 @@ def _scale_posterior(evidence: LinkEvidence) -> tuple[Array, Array]:
     grid = np.array(list(product(*_GRID)))
     octaves = np.log2(grid / np.array(usual_errors.USUAL_SCALES))
     log_posterior = -0.5 * np.sum(octaves**2, axis=1)
-    for point, scales in enumerate(grid.tolist()):
-        log_posterior[point] += evidence.log_likelihood(LinkScales(*scales))
-    return grid, log_posterior
+    scales = [LinkScales(*each) for each in grid.tolist()]
+    return grid, log_posterior + evidence.log_likelihoods(scales)
 
 
 def _log_evidence(evidence: LinkEvidence) -> float:
