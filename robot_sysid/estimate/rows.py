@@ -192,6 +192,8 @@ class Sums:
         """Return per joint (k, k) the products of some blocks; of all of them with None."""
         if blocks is None:
             return self.totals
+        if len(blocks) == 1:
+            return [rows[blocks[0]] for rows, _ in self.products]
         return [rows[list(blocks)].sum(axis=0) for rows, _ in self.products]
 
     def squared_residuals(

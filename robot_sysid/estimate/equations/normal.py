@@ -20,6 +20,9 @@ from robot_sysid.estimate.terms import ArmTerms, Term
 from robot_sysid.records import Array
 from robot_sysid.spatial import N_INERTIAL
 
+MOST_WHOLE = 10**7
+"""Most numbers of all joints' products in one array, side by side: long arms have too many."""
+
 
 @dataclass(frozen=True)
 class JointColumns:
@@ -51,6 +54,12 @@ class JointColumns:
         products[-1, :-1] = products[:-1, -1] = of_left[self.at]
         products[-1, -1] = self.left @ of_left
         return products
+
+    def change(self, values: Array) -> Array:
+        """Return factors of the joint's columns whose sum is its residual at values (k,)."""
+        change = self.left.copy()
+        change[self.at] -= values[self.places[:-1]]
+        return change
 
 
 @dataclass(frozen=True)
@@ -147,6 +156,20 @@ class Equations:
         """
         return self._products_of(None)
 
+    @cached_property
+    def _whole(self) -> Array | None:
+        """The same in one array (J, k + 1, k + 1); None where that has too many numbers.
+
+        Sums over it take a tenth of the time of those joint by joint.
+        """
+        size = len(self.prior)
+        if len(self.joint_columns) * size**2 > MOST_WHOLE:
+            return None
+        whole = np.zeros((len(self.joint_columns), size, size))
+        for own, columns, gram in zip(whole, self.joint_columns, self._totals):
+            own[columns.places[:, None], columns.places] = gram
+        return whole
+
     def _products_of(self, blocks: Sequence[int] | None) -> tuple[Array, ...]:
         """Return the products (m + 1, m + 1) of each joint's rows, of all blocks or some."""
         pairs = zip(self.joint_columns, self.sums.of_blocks(blocks))
@@ -161,6 +184,8 @@ class Equations:
 
     def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the products (k + 1, k + 1) of weighted rows, of all blocks or some."""
+        if blocks is None and self._whole is not None:
+            return np.tensordot(weights**2, self._whole, 1)
         data = np.zeros_like(self.prior)
         of_joints = zip(weights, self.joint_columns, self.products(blocks))
         for weight, columns, gram in of_joints:
@@ -184,15 +209,17 @@ class Equations:
         self, values: Array, blocks: Sequence[int] | None = None
     ) -> Array:
         """Return each joint's sum of squared residuals (J,) at values (k,) [N^2 m^2]."""
-        change = np.append(-values, 1.0)
         squares = []
-        for columns, gram in zip(self.joint_columns, self.products(blocks)):
-            own = change[columns.places]
+        for columns, gram in zip(self.joint_columns, self.sums.of_blocks(blocks)):
+            own = columns.change(values)
             squares.append(own @ gram @ own)
         return np.maximum(squares, 0.0)
 
     def spread(self, covariance: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the squared errors (J,) to expect from those of an estimate (k, k) [N^2 m^2]."""
+        if blocks is None and self._whole is not None:
+            padded = np.pad(covariance, (0, 1))
+            return self._whole.reshape(len(self._whole), -1) @ padded.ravel()
         errors = []
         for columns, gram in zip(self.joint_columns, self.products(blocks)):
             at = columns.places[:-1]
