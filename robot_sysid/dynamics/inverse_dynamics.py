@@ -272,13 +272,22 @@ class LinksMotion:
         """
         joints, _, samples = self.velocity.shape
         columns = np.zeros((joints, len(links), N_INERTIAL, samples))
+        # Of all links at once, one behind the other.
+        velocity, acceleration = (
+            np.swapaxes(motion[list(links)], 0, 1).reshape(6, -1).T
+            for motion in (self.velocity, self.acceleration)
+        )
+        regressors = wrench_regressor(velocity, acceleration)
+        wrenches = regressors.reshape(6, N_INERTIAL, len(links), samples)
         for link, jacobian in enumerate(self.jacobians()):
             if link in links:
-                motion = self.velocity[link].T, self.acceleration[link].T
-                wrench = wrench_regressor(*motion)
-                blocks = columns[:, links.index(link)]
-                for twist, block in zip(jacobian[: link + 1], blocks):
-                    np.einsum("in,ikn->kn", twist, wrench, out=block)
+                number = links.index(link)
+                np.einsum(
+                    "jin,ikn->jkn",
+                    jacobian[: link + 1],
+                    wrenches[:, :, number],
+                    out=columns[: link + 1, number],
+                )
         return columns.reshape(joints, -1, samples).transpose(2, 0, 1)
 
     def torque(self, thetas: Array) -> Array:
@@ -299,6 +308,26 @@ class LinksMotion:
             yield link, wrench
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
 
+    def torque_at_rest(self, thetas: Array, gravities: Array) -> Array:
+        """Return the joint torque (N, n, k) [N m] of resting links under k gravities (k, 3).
+
+        The links rest in the positions of this motion; ``thetas`` as in ``torque``.
+        """
+        joints, _, samples = self.velocity.shape
+        twists = np.zeros((len(gravities), 6, samples))
+        twists[:, 3:] = -gravities[:, :, None]
+        wrenches = []
+        for step, inertia in zip(self.steps, spatial_inertias(thetas)):
+            twists = np.einsum("abn,kbn->kan", step, twists)
+            wrenches.append(inertia @ twists)
+        torque = np.empty((joints, len(gravities), samples))
+        wrench = np.zeros_like(twists)
+        for link in reversed(range(joints)):
+            wrench = wrench + wrenches[link]
+            torque[link] = self.screws[link] @ wrench
+            wrench = np.einsum("abn,kan->kbn", self.steps[link], wrench)
+        return torque.transpose(2, 0, 1)
+
     def slopes(self, thetas: Array, qd: Array) -> Array:
         """Return the derivative (N, n, n) of joint torques by joint positions [N m/rad].
 
@@ -316,17 +345,20 @@ class LinksMotion:
         twists = np.zeros((2, 0, 6, samples))
         slopes = np.zeros((samples, count, count))
         wrench_slopes = []
+        inertias = spatial_inertias(thetas)
+        # The derivative (n, 6, 6, N) of each link's own wrench by its velocity.
+        by_velocity = thetas @ _BY_VELOCITIES.reshape(N_INERTIAL, -1)
+        by_velocity = by_velocity.reshape(count, 36, 6) @ self.velocity
+        by_velocity = by_velocity.reshape(count, 6, 6, samples)
         # Outwards: the derivative (j, 6, N) of each link's own wrench by q_j, j up to the link.
-        for link, theta in enumerate(thetas):
+        for link, inertia in enumerate(inertias):
             bracket = self.brackets[link]
             motion = np.stack((self.velocity[link], self.acceleration[link]))[:, None]
             twists = np.einsum("abn,mjbn->mjan", self.steps[link], twists)
             twists[1] -= bracket @ twists[0] * qd[:, link]
             twists = np.concatenate((twists, -bracket @ motion), axis=1)
-            # A wrench is quadratic in the motion, so that this difference is exact.
-            ahead = wrench_of(theta, *(motion + twists))
-            behind = wrench_of(theta, *(motion - twists))
-            wrench_slopes.append(0.5 * (ahead - behind))
+            of_velocity = np.einsum("acn,jcn->jan", by_velocity[link], twists[0])
+            wrench_slopes.append(inertia @ twists[1] + of_velocity)
         # Inwards: the wrench of a link and all beyond it, and the derivative of that sum.
         total = np.zeros_like(self.velocity)
         for link, wrench in self.wrenches(thetas):
@@ -439,6 +471,19 @@ def _coadjoint(twist: Array, momentum: Array) -> Array:
     return -np.concatenate((cross(w, m) + cross(v, f), cross(w, f)))
 
 
+def _by_velocities() -> Array:
+    """Return the derivative (10, 6, 6, 6) of -ad(V)^T G V by V, per inertial parameter.
+
+    It is linear in V, whose components are last; those by which it is derived are before them.
+    """
+    units = np.eye(6)[:, None, None]
+    half = -_coadjoint(units, _UNIT_WRENCHES[..., None])
+    return np.swapaxes(half + np.swapaxes(half, 2, 3), 0, 1)
+
+
+_BY_VELOCITIES = _by_velocities()
+
+
 class LinkDynamics:
     """The motion of all links of one arm, by the outward recursion of Newton and Euler.
 
@@ -452,10 +497,8 @@ class LinkDynamics:
         self._home = robot.reference
         self._slides = robot.is_slide
         self._links = robot.links
-        flags = robot.mj_model.opt.disableflags
-        is_weightless = flags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         vector = gravity_vector(robot) if gravity is None else gravity
-        self._gravity = np.reshape((not is_weightless) * vector, (3, -1))
+        self._gravity = np.reshape(acting_gravity(robot, vector), (3, -1))
 
     def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
         """Return the motion of all links for joint motions q, qd, qdd (N, n) each [rad, rad/s,
@@ -488,13 +531,18 @@ def wrench_of(thetas: Array, velocity: Array, acceleration: Array) -> Array:
     G is the spatial inertia of its inertial parameters ``thetas`` (..., 10). With V = [w, v] and
     G V = [m, f], -ad(V)^T G V = [w x m + v x f, w x f].
     """
-    inertia = np.einsum("aib,...i->...ab", _UNIT_WRENCHES, thetas)
+    inertia = spatial_inertias(thetas)
     momentum = inertia @ velocity
     # Components come first.
     w, v = np.split(np.swapaxes(velocity, 0, -2), 2)
     m, f = np.split(np.swapaxes(momentum, 0, -2), 2)
     gyroscopic = np.concatenate((cross(w, m) + cross(v, f), cross(w, f)))
     return inertia @ acceleration + np.swapaxes(gyroscopic, 0, -2)
+
+
+def spatial_inertias(thetas: Array) -> Array:
+    """Return the spatial inertia G (..., 6, 6) of inertial parameters ``thetas`` (..., 10)."""
+    return np.einsum("aib,...i->...ab", _UNIT_WRENCHES, thetas)
 
 
 def link_names(robot: RobotModel, link: int) -> tuple[str, ...]:
@@ -513,6 +561,13 @@ def other_links(robot: RobotModel) -> tuple[int, ...]:
 def gravity_vector(robot: RobotModel) -> Array:
     """Return the model's gravity (3,) in the world frame [m/s^2]."""
     return np.array(robot.mj_model.opt.gravity)
+
+
+def acting_gravity(robot: RobotModel, gravity: Array) -> Array:
+    """Return gravities as they act on an arm: zero where its model switches gravity off."""
+    flags = robot.mj_model.opt.disableflags
+    is_weightless = flags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return (not is_weightless) * gravity
 
 
 def with_gravity(robot: RobotModel, gravity: Array) -> RobotModel:

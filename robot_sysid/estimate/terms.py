@@ -41,6 +41,7 @@ from robot_sysid.dynamics.friction import (
 from robot_sysid.dynamics.inverse_dynamics import (
     ARRAY_SIZE,
     BeyondRigidBodies,
+    acting_gravity,
     gravity_vector,
     link_names,
     other_links,
@@ -546,11 +547,10 @@ class ArmTerms:
     def _tilt(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 2) of gravity turned about two horizontal axes [N m/rad]."""
         thetas = point.carried_links(rows.is_loaded)
-        columns = []
-        for axis in tilt_axes(point.gravity):
-            moves = rows.at_rest(self.robot, np.cross(axis, point.gravity))
-            columns.append(moves.torque(thetas))
-        return np.stack(columns, axis=-1)[:, self.indices]
+        turned = np.cross(tilt_axes(point.gravity), point.gravity)
+        moves = rows.moves(self.robot, point.gravity)
+        torque = moves.torque_at_rest(thetas, acting_gravity(self.robot, turned))
+        return torque[:, self.indices]
 
     def _delay(self, rows: Rows, point: Point) -> Array:
         """Return the column (m, J, 1) of a torque that lags, -d tau / dt [N m/s]."""
