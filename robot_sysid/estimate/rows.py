@@ -336,20 +336,24 @@ class JointSums:
             self.columns = columns
             self.products = products
         grams, lagged = self.products
+        present = rows.T[columns]
         for number in np.unique(block[block >= 0]).tolist():
-            own = rows[block == number]
+            at = np.flatnonzero(block == number)
             before, last = self._last
-            self._last = number, own[-1]
-            self.counts[number] += len(own)
-            own = own[:, columns]
-            grams[number] += own.T @ own
+            self._last = number, rows[at[-1]]
+            self.counts[number] += len(at)
+            # A slice, where rows follow each other, is no copy.
+            follow = at[-1] - at[0] == len(at) - 1
+            own = present[:, at[0] : at[-1] + 1] if follow else present[:, at]
+            grams[number] += own @ own.T
+            lagged[number] += own[:, :-1] @ own[:, 1:].T
             if before == number:
-                own = np.vstack((last[columns], own))
-            successive = own[:-1].T @ own[1:]
-            lagged[number] += 0.5 * (successive + successive.T)
+                lagged[number] += np.outer(last[columns], own[:, 0])
 
-    def clear_rounding(self) -> None:
-        """Set the products of columns that are nothing but rounding to zero."""
+    def finish(self) -> None:
+        """Make products of successive rows symmetric, and those of rounding alone zero."""
+        lagged = self.products[1]
+        self.products[1] = 0.5 * (lagged + np.swapaxes(lagged, 1, 2))
         at = of_rounding(np.diag(self.products[0].sum(axis=0)))
         self.products[:, :, at] = 0.0
         self.products[..., at] = 0.0

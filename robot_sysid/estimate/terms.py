@@ -423,7 +423,7 @@ class ArmTerms:
                 "for long enough; move faster, and turn round less often"
             )
         for sums in joint_sums:
-            sums.clear_rounding()
+            sums.finish()
         return Sums(
             names,
             joints,
@@ -435,11 +435,15 @@ class ArmTerms:
         )
 
     def equations(self, rows: Rows, point: Point) -> tuple[Array, Mask]:
-        """Return (rows [A b] (m, J, p + 1), whether each is used (m, J)) of a chunk."""
+        """Return (rows [A b] (m, J, p + 1), whether each is used (m, J)) of a chunk.
+
+        In memory the m samples of one entry lie side by side, as those of links do.
+        """
         columns = [term.columns(rows, point) for term in self.terms.values()]
         tau = self.measured_torque(rows)
-        others = (tau - self.known(rows))[:, :, None]
-        return np.concatenate((*columns, others), axis=2), np.isfinite(tau)
+        columns.append((tau - self.known(rows))[:, :, None])
+        every = [np.transpose(each, (1, 2, 0)) for each in columns]
+        return np.concatenate(every, axis=1).transpose(2, 0, 1), np.isfinite(tau)
 
     def measured_torque(self, rows: Rows) -> Array:
         """Return the measured torque (m, J) of a chunk of rows [N m]; NaN where not used."""
@@ -479,7 +483,10 @@ class ArmTerms:
 
     def _per_joint(self, columns: Array) -> Array:
         """Return columns (m, J) of one parameter per joint as columns (m, J, J)."""
-        return columns[:, :, None] * np.eye(len(self.joints))
+        joints = range(len(self.joints))
+        every = np.zeros((len(joints), len(joints), len(columns)))
+        every[joints, joints] = columns.T
+        return every.transpose(2, 0, 1)
 
     def friction_column(self, name: str, rows: Rows, point: Point) -> Array:
         """Return the column (m, J) of a friction term at each joint.
