@@ -183,17 +183,18 @@ def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:
 
 
 def pseudo_inertia(theta: Array) -> Array:
-    """Return the (4, 4) pseudo-inertia J = [[S, h], [h^T, m]] of theta (10,), that is mass m, first
-    moment h and inertia I, with S = tr(I)/2 1 - I.
+    """Return the (..., 4, 4) pseudo-inertia J = [[S, h], [h^T, m]] of theta (..., 10), that is mass
+    m, first moment h and inertia I, with S = tr(I)/2 1 - I.
 
     theta is physically consistent exactly when J is positive definite (Wensing, Kim, Slotine,
     "Linear matrix inequalities for physically consistent inertial parameter identification",
     2018, eq. 17).
     """
-    matrix = theta[_OF_THETA]
-    second = matrix[:3, :3]
-    second[:] = 0.5 * np.trace(second) * np.eye(3) - second
-    return matrix
+    matrix = theta[..., _OF_THETA]
+    second = matrix[..., :3, :3]
+    half_trace = 0.5 * (theta[..., 4] + theta[..., 7] + theta[..., 9])
+    second[:] = half_trace[..., None, None] * np.eye(3) - second
+    return np.asarray(matrix)
 
 
 def theta_from_pseudo_inertia(matrix: Array) -> Array:
@@ -204,7 +205,9 @@ def theta_from_pseudo_inertia(matrix: Array) -> Array:
 
 
 def is_consistent(theta: Array) -> bool:
-    """Return whether theta can belong to a rigid body of positive mass (J positive definite)."""
+    """Return whether theta (..., 10) can belong to rigid bodies of positive mass (each J positive
+    definite).
+    """
     if not np.all(np.isfinite(theta)):
         return False
     # Unlike eigenvalues, this depends on no unit: not even rounding does.
@@ -235,19 +238,30 @@ def characteristic_length(theta: Array) -> float:
 def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Array:
     """Return theta (10,) of a body near theta (10,) that is physically consistent by a margin.
 
-    Eigenvalues of the pseudo-inertia, made dimensionless with mass and size of the body
-    ``reference`` (10,), are raised to at least ``floor`` times the largest magnitude (or 1, if that
-    is larger). Where none has to be raised, a copy of theta is returned.
+    See ``nearest_consistent_bodies``, of which this is one.
     """
-    mass = reference[0] if reference[0] > 0.0 else 1.0
-    length = characteristic_length(reference)
+    return nearest_consistent_bodies(theta[None], reference[None], floor)[0]
+
+
+def nearest_consistent_bodies(thetas: Array, references: Array, floor: float) -> Array:
+    """Return thetas (L, 10) of bodies near thetas (L, 10) that are physically consistent by a
+    margin.
+
+    Eigenvalues of a pseudo-inertia, made dimensionless with mass and size of the body in
+    ``references`` (L, 10), are raised to at least ``floor`` times the largest magnitude (or 1, if
+    that is larger). Where none has to be raised, a theta stays as it is.
+    """
+    masses = references[:, 0]
     # Entry (i, j) of a pseudo-inertia has the unit units[i] units[j].
-    units = np.sqrt(mass) * np.array([length, length, length, 1.0])
-    values, vectors = np.linalg.eigh(pseudo_inertia(theta) / np.outer(units, units))
-    largest = max(np.max(np.abs(values)), 1.0)
-    lifted = np.maximum(values, floor * largest)
-    if lifted[0] == values[0]:
-        return theta.copy()
-    return theta_from_pseudo_inertia(
-        (vectors * lifted) @ vectors.T * np.outer(units, units)
-    )
+    units = np.ones((len(references), 4))
+    units[:, :3] = np.array([*map(characteristic_length, references)])[:, None]
+    units *= np.sqrt(np.where(masses > 0.0, masses, 1.0))[:, None]
+    scales = units[:, :, None] * units[:, None]
+    values, vectors = np.linalg.eigh(pseudo_inertia(thetas) / scales)
+    largest = np.maximum(np.max(np.abs(values), axis=1), 1.0)
+    lifted = np.maximum(values, floor * largest[:, None])
+    nearest = thetas.copy()
+    for body in np.flatnonzero(lifted[:, 0] != values[:, 0]).tolist():
+        raised = (vectors[body] * lifted[body]) @ vectors[body].T
+        nearest[body] = theta_from_pseudo_inertia(raised * scales[body])
+    return nearest

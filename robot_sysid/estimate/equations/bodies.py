@@ -17,7 +17,6 @@ in an orthonormal basis of symmetric matrices, which are also the rows of Clarab
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader, FileFinder
@@ -32,7 +31,11 @@ from robot_sysid import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.identifiability import ROUNDING, visible_space
 from robot_sysid.records import Array
-from robot_sysid.spatial import N_INERTIAL, nearest_consistent_body
+from robot_sysid.spatial import (
+    N_INERTIAL,
+    nearest_consistent_bodies,
+    nearest_consistent_body,
+)
 
 LEAST_SHARE = 1e-6
 """Least eigenvalue of a body's pseudo-inertia, relative to that of its reference body."""
@@ -113,6 +116,16 @@ class SparseColumns:
         starts = np.searchsorted(columns, np.arange(matrix.shape[1] + 1))
         return cls(matrix[rows, columns], rows, starts, matrix.shape)
 
+    def with_diagonal(self, value: float, count: int) -> SparseColumns:
+        """Return the matrix with columns beside it that have a value on their diagonal alone."""
+        rows, columns = self.shape
+        return SparseColumns(
+            np.append(self.data, np.full(count, value)),
+            np.append(self.indices, np.arange(count)),
+            np.append(self.indptr, self.nnz + 1 + np.arange(count)),
+            (rows, columns + count),
+        )
+
     @property
     def nnz(self) -> int:
         """How many numbers are not zero."""
@@ -172,16 +185,13 @@ def consistent_least_squares(
             "model's inertias"
         )
     size = matrix.shape[1]
-    bodies = np.array(
-        [nearest_consistent_body(x, x, LEAST_SHARE) for x in prior[links]]
-    )
+    bodies = nearest_consistent_bodies(prior[links], prior[links], LEAST_SHARE)
     # Coordinates y stand for x = reference + unit y: z of each link, other columns of unit length.
     length = np.linalg.norm(matrix, axis=0)
     unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
     reference = np.zeros(size)
-    for link, theta in zip(links, bodies):
-        reference[link] = theta
-        unit[np.ix_(link, link)] = _units(theta)
+    reference[links] = bodies
+    unit[links[:, :, None], links[:, None]] = _units(bodies)
     lower, upper = bounds or (np.full(size, -np.inf), np.full(size, np.inf))
     is_bounded = np.isfinite(lower) | np.isfinite(upper)
     is_bounded[links] = False
@@ -221,10 +231,11 @@ def consistent_least_squares(
         if cost(y) <= limit:
             break
     values = reference + unit[:, order] @ y
-    for link in links:
-        theta = values[link]
-        if not spatial.is_consistent(theta):
-            values[link] = nearest_consistent_body(theta, theta, ROUNDING)
+    if not spatial.is_consistent(values[links]):
+        for link in links:
+            theta = values[link]
+            if not spatial.is_consistent(theta):
+                values[link] = nearest_consistent_body(theta, theta, ROUNDING)
     near = AT_BOUND / np.where(length > 0.0, length, 1.0)
     is_low = is_bounded & (values < lower + near)
     is_high = is_bounded & (values > upper - near)
@@ -266,7 +277,8 @@ def _possible_coordinates(equations: Array, sought: _Sought) -> Array:
         equations: [A b] (q + 10 L + 1, q + 10 L + 1), triangular.
         sought: bodies and bounds.
     """
-    units = [*map(_units, sought.bodies)]
+    bodies = sought.bodies
+    units = _units(bodies)
     free = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
     z = np.asarray(free, dtype=float)
     count = len(sought.lower)
@@ -274,24 +286,21 @@ def _possible_coordinates(equations: Array, sought: _Sought) -> Array:
     if _is_possible(z, units, sought):
         return z
     if sought.start is not None:
-        deviations = sought.start - sought.bodies
-        z[count:] = np.concatenate([*map(np.linalg.solve, units, deviations)])
+        z[count:] = _solutions(units, sought.start - bodies)
+    links = np.arange(count, len(z)).reshape(-1, N_INERTIAL)
     for _ in range(3):
         centre = np.zeros_like(z)
         centre[:count] = np.clip(z[:count], sought.lower, sought.upper)
         change = np.eye(len(z))
-        least = []
-        firsts = range(count, len(z), N_INERTIAL)
-        for first, theta, unit in zip(firsts, sought.bodies, units):
-            span = slice(first, first + N_INERTIAL)
-            near = nearest_consistent_body(theta + unit @ z[span], theta, LEAST_AXIS)
-            centre[span] = np.linalg.solve(unit, near - theta)
-            change[span, span] = np.linalg.solve(unit, _units(near))
-            inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(near)))
-            least.append(inverse @ spatial.pseudo_inertia(theta) @ inverse.T)
+        found_before = bodies + (units @ z[links][..., None])[..., 0]
+        near = nearest_consistent_bodies(found_before, bodies, LEAST_AXIS)
+        centre[count:] = _solutions(units, near - bodies)
+        change[links[:, :, None], links[:, None]] = np.linalg.solve(units, _units(near))
+        inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(near)))
+        least = inverse @ spatial.pseudo_inertia(bodies) @ np.swapaxes(inverse, 1, 2)
         shifted = equations[:, -1] - equations[:, :-1] @ centre
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
-        limits = LEAST_SHARE * np.array(least) + _TOLERANCE * np.eye(4)
+        limits = LEAST_SHARE * least + _TOLERANCE * np.eye(4)
         below = sought.lower - centre[:count]
         above = sought.upper - centre[:count]
         found = _by_cone(rows, limits, below, above)
@@ -302,20 +311,17 @@ def _possible_coordinates(equations: Array, sought: _Sought) -> Array:
     return np.asarray(z)
 
 
-def _is_possible(z: Array, units: Sequence[Array], sought: _Sought) -> bool:
+def _is_possible(z: Array, units: Array, sought: _Sought) -> bool:
     """Return whether coordinates z (q + 10 L,) keep all bounds, and their bodies are consistent.
 
-    ``units`` are per body ``_units`` of its reference body.
+    ``units`` (L, 10, 10) are those of the reference bodies.
     """
     bounded = z[: len(sought.lower)]
     if np.any(bounded < sought.lower) or np.any(bounded > sought.upper):
         return False
     changes = z[len(bounded) :].reshape(-1, N_INERTIAL)
-    least = 1.0 - LEAST_SHARE
-    return all(
-        spatial.is_consistent(least * theta + unit @ change)
-        for theta, unit, change in zip(sought.bodies, units, changes)
-    )
+    moved = (units @ changes[..., None])[..., 0]
+    return spatial.is_consistent((1.0 - LEAST_SHARE) * sought.bodies + moved)
 
 
 def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Array:
@@ -333,7 +339,7 @@ def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Arra
 
     _load_lapack()
     count, size = len(equations), equations.shape[1] - 1
-    every = np.eye(size, size + count)
+    every = np.eye(size)
     at_least = np.flatnonzero(np.isfinite(lower))
     at_most = np.flatnonzero(np.isfinite(upper))
     # Coefficients of the matrices 1 - least in the basis.
@@ -346,20 +352,25 @@ def _by_cone(equations: Array, least: Array, lower: Array, upper: Array) -> Arra
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
+    # Residuals are variables of their own: the condition of the problem is not squared.
+    squares = SparseColumns(
+        np.ones(count),
+        np.arange(size, size + count),
+        np.maximum(np.arange(size + count + 1) - size, 0),
+        (size + count, size + count),
+    )
     for heaviest in HEAVIEST:
         rows = equations / max(1.0, float(np.linalg.norm(equations)) / heaviest)
-        # Residuals are variables of their own: the condition of the problem is not squared.
-        residuals = np.hstack((rows[:, :-1], -np.eye(count)))
         constraints = np.vstack(
-            (residuals, -every[at_least], every[at_most], -every[len(lower) :])
+            (rows[:, :-1], -every[at_least], every[at_most], -every[len(lower) :])
         )
         bounds = np.concatenate((-lower[at_least], upper[at_most]))
         limits = np.concatenate((rows[:, -1], bounds, np.ravel(above)))
         try:
             solution = clarabel.DefaultSolver(
-                SparseColumns.of(np.diag(np.repeat((0.0, 1.0), (size, count)))),
+                squares,
                 np.zeros(size + count),
-                SparseColumns.of(constraints),
+                SparseColumns.of(constraints).with_diagonal(-1.0, count),
                 limits,
                 cones,
                 settings,
@@ -393,7 +404,13 @@ def _load_lapack() -> None:
             sys.modules[name] = module
 
 
-def _units(theta: Array) -> Array:
-    """Return the change (10, 10) of a consistent body theta (10,) by each of its coordinates."""
-    root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
-    return _THETAS @ (root @ _BASIS @ root.T).reshape(-1, 16).T
+def _units(thetas: Array) -> Array:
+    """Return the change (L, 10, 10) of consistent bodies (L, 10) by each of their coordinates."""
+    root = np.linalg.cholesky(spatial.pseudo_inertia(thetas))[:, None]
+    turned = root @ _BASIS @ np.swapaxes(root, 2, 3)
+    return np.swapaxes(turned.reshape(-1, N_INERTIAL, 16) @ _THETAS.T, 1, 2)
+
+
+def _solutions(units: Array, changes: Array) -> Array:
+    """Return the coordinates (10 L,) of changes (L, 10) of bodies with these units (L, 10, 10)."""
+    return np.ravel(np.linalg.solve(units, changes[..., None]))

@@ -228,7 +228,7 @@ class Equations:
 
     def are_possible_bodies(self, values: Array) -> bool:
         """Tell whether all bodies are possible at values (k,)."""
-        return all(map(spatial.is_consistent, (values - self.least)[self.bodies]))
+        return spatial.is_consistent((values - self.least)[self.bodies])
 
     def inside(self, values: Array) -> Array:
         """Return values (k,) with those that cross a bound moved to it."""
