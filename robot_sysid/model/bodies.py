@@ -77,6 +77,13 @@ def subtree_bodies(
     of this body, and of those without a joint between it and them.
     """
     data = data_at_pose(mj_model, qpos)
+    return _bodies_below(mj_model, data, body_id, excluded)
+
+
+def _bodies_below(
+    mj_model: Any, data: Any, body_id: int, excluded: Collection[int]
+) -> tuple[SubtreeBody, ...]:
+    """Return the same of a model whose ``data`` have all frames."""
     bodies: dict[int, SubtreeBody] = {}
     for i in subtree(mj_model, body_id):
         if i in excluded:
@@ -131,7 +138,7 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
         # Angular and linear velocity (2, 3) of the body per unit of the joint's, in world axes.
         velocity = np.stack((jac_angular, jac_linear))[:, :, dof]
         excluded = subtree(mj_model, next_id)
-        bodies = subtree_bodies(mj_model, qpos, body_id, excluded)
+        bodies = _bodies_below(mj_model, data, body_id, excluded)
         links.append(
             ArmLink(
                 body_id=body_id,
