@@ -128,8 +128,8 @@ def _find_command(arguments: Sequence[str], others: Sequence[Command]) -> Comman
     """
     word = arguments[0]
     is_file = word.startswith("-") or os.path.exists(word)
-    hint = suggestion(word, COMMANDS)
-    if word not in COMMANDS and hint and not is_file:
+    hint = "" if is_file or word in COMMANDS else suggestion(word, COMMANDS)
+    if hint:
         raise InputError(f"there is no file and no command {word}: {hint}")
     name = COMMANDS.get(word, COMMANDS["identify"])
     with motors_required():

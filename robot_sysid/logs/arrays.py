@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import statistics
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -88,6 +87,8 @@ def arrays_table(
     if not lengths:
         listed = ", ".join(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
+    import statistics  # slow to import
+
     n_rows = statistics.mode(lengths)
     samples = []
     for name, values in columns.items():
