@@ -115,8 +115,10 @@ FACTORS = (0.8, 1.25)
 """Factors on one joint's torque that are tried: the one that is right is found from there."""
 OF_WRIST = 4
 """Last joints of which two may be exchanged, or turned by motors of both, in a log that fits."""
-GEAR_STEP = np.log(GEARS[-1] / GEARS[-2])
+GEAR_STEP = np.log(GEARS[-1])
 """Step between the factors of a gear that are tried first, as a logarithm."""
+GEAR_ROUNDS = 12
+"""Rounds in which a gear's factor is found: some to come near it, the others to a percent."""
 GEAR_ERROR = 0.03
 """Share by which links that are off make a factor wrong that is found with the model's, at most."""
 FULL_TURN = 360.0
@@ -206,6 +208,7 @@ class ReadingSearch:
 
     Attributes:
         moving: numbers of the joints that move in it.
+        travels: (n,) of all joints, as they were recorded [rad].
     """
 
     def __init__(self, fitted: Fit) -> None:
@@ -219,6 +222,8 @@ class ReadingSearch:
                 needed.append(term)
         self.arm = fitted.arm.of(needed)
         terms = arm_question(self.arm, question, fitted.sums.rms_torque)
+        every = [each.q for each in fitted.recordings]
+        self.travels = np.ptp(np.concatenate(every), axis=0)
         recordings, _ = part_of_rows(fitted, ROWS)
         self._scores = ReadingScores(self.arm, [*map(of_rows_alone, recordings)], terms)
 
@@ -257,7 +262,7 @@ class ReadingSearch:
     @property
     def mistakes(self) -> list[Mistake]:
         """Every mistake that is tried."""
-        return [*mistakes(self.arm.robot, self.moving)]
+        return [*mistakes(self.arm.robot, self.moving, self.travels)]
 
     @property
     def mountings(self) -> list[Mistake]:
@@ -296,7 +301,7 @@ class ReadingSearch:
         No rate is tried for torques in another unit: a factor on them is none on their inertia.
         """
         robot = self.arm.robot
-        tried = [*angle_units(robot, self.moving)]
+        tried = [*angle_units(robot, self.moving, self.travels)]
         tried += gear_ratios(robot, self.moving, self.shown)
         if not is_foreign(self.fitted):
             tried += time_bases(robot)
@@ -309,12 +314,12 @@ class ReadingSearch:
         if gear is not None:
             joint, factor, is_of_motor = gear
             step = GEAR_STEP
-            for _ in range(ZERO_ROUNDS):
-                step *= 0.5
-                ways = [factor, factor * np.exp(step), factor * np.exp(-step)]
+            for _ in range(GEAR_ROUNDS):
+                ways = [float(factor * np.exp(way)) for way in (0.0, step, -step)]
                 gears = [gear_of(robot, joint, way, is_of_motor) for way in ways]
                 _, best = self._best(gears)
-                factor = float(ways[gears.index(best)])
+                step *= 0.5 if best is gears[0] else 1.0
+                factor = next(way for way, each in zip(ways, gears) if each is best)
         return [best]
 
     @cached_property

@@ -40,9 +40,12 @@ _TURNS = tuple(np.radians((90.0, -90.0, 180.0)).tolist())
 """Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
 _TIMES = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
 """Factors of time that are tried; the one that is right is found from the nearest."""
-GEARS = (0.5, 0.8, 1.25, 2.0)
+GEARS = (0.8, 1.25)
 """Factors of one joint's positions that are tried, as of another gear: that which is right is found
-from the nearest. A ratio is on a motor's torque as well, or on its positions alone."""
+from there. A ratio is on a motor's torque as well, or on its positions alone."""
+TRAVELS = (0.05, 40.0)
+"""Least and largest travel of a joint in a log: of positions in another unit, it is some hundredths
+of a radian, or tens of turns [rad]."""
 ZERO_STEP = np.radians(30.0)
 """Step of the angles of a zero that are tried first: one that is off by half a step reads better
 with it than with none."""
@@ -178,15 +181,17 @@ class Mistake:
     options: tuple[tuple[str, ...], ...] = ()
 
 
-def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
+def mistakes(
+    robot: RobotModel, moving: Sequence[int], travels: Array
+) -> Iterator[Mistake]:
     """Yield every mistake that is tried.
 
     ``moving`` are the numbers of the joints that move: columns of a joint that stands still say
-    nothing of whose they are.
+    nothing of whose they are. ``travels`` (n,) are as in ``angle_units``.
     """
     yield from turned_signs(robot, moving)
     yield from exchanges(robot, moving)
-    yield from angle_units(robot, moving)
+    yield from angle_units(robot, moving, travels)
     yield from zeros(robot, moving)
     yield from mountings(robot)
     yield from time_bases(robot)
@@ -277,8 +282,14 @@ def orders(
         yield of_columns(FaultName.ORDER, text, every[::-1], of.names)
 
 
-def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
-    """Yield degrees that were taken for radians, of all joints and of each, and the reverse."""
+def angle_units(
+    robot: RobotModel, moving: Sequence[int], travels: Array
+) -> Iterator[Mistake]:
+    """Yield degrees that were taken for radians, of all joints and of each, and the reverse.
+
+    ``travels`` (n,) are those of the joints as they were recorded: one joint's unit is another only
+    where it would have travelled as joints do.
+    """
     none = Reading.of(robot.n_joints)
     radians = np.where(robot.is_slide, 1.0, _RADIANS_PER_DEGREE)
     yield Mistake(
@@ -300,7 +311,8 @@ def angle_units(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
         (1.0 / _RADIANS_PER_DEGREE, "radians that were taken for degrees"),
     )
     for joint, (factor, unit) in product(moving, ways):
-        if not robot.is_slide[joint]:
+        exists = TRAVELS[0] < factor * travels[joint] < TRAVELS[1]
+        if exists and not robot.is_slide[joint]:
             yield Mistake(
                 FaultName.ANGLE_UNIT,
                 f"the position of joint {robot.joint_names[joint]} looks like {unit}",
@@ -351,10 +363,13 @@ def gear_in(reading: Reading) -> tuple[int, float, bool] | None:
     """
     factors = np.diag(reading.position)
     (joints,) = np.nonzero(factors != 1.0)
-    if len(joints) != 1 or not GEARS[0] <= factors[joints[0]] <= GEARS[-1]:
+    if len(joints) != 1:
         return None
     joint = int(joints[0])
-    return joint, float(factors[joint]), bool(reading.torque[joint, joint] != 1.0)
+    factor = float(factors[joint])
+    if not 1.0 < max(factor, 1.0 / factor) < 1.0 / _RADIANS_PER_DEGREE:
+        return None
+    return joint, factor, bool(reading.torque[joint, joint] != 1.0)
 
 
 def shared_motors(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:

@@ -33,7 +33,7 @@ FILE = (
 )
 CORRECTIONS = [
     s.reading.columns
-    for s in mistakes(ROBOT, range(3))
+    for s in mistakes(ROBOT, range(3), np.ones(3))
     if s.text and s.reading.columns is not None
 ]
 QUARTER = 0.5 * np.pi
