@@ -35,7 +35,13 @@ BOUNDS = {
     "kuka": (1, 24, 22, 138, 680),
 }
 """Most calls of each command, in the order of ``COUNTED``, and most imported modules."""
-SLOW_TO_IMPORT = {"scipy.integrate", "scipy.optimize", "scipy.signal", "scipy.sparse"}
+SLOW_TO_IMPORT = {
+    "scipy.integrate",
+    "scipy.linalg",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.sparse",
+}
 """What takes longer to import than the equations of a log to solve."""
 PROGRAM = """
 import cProfile, json, sys

@@ -317,10 +317,10 @@ def saturation(rng: Random) -> Function:
 
 
 def torque_quantisation(rng: Random) -> Function:
-    """Return coarse steps over the load."""
+    """Return coarse steps over the load, between which torque stands still."""
     step = log_uniform(rng, 0.05, 2.0)
     words = f"in steps of {step:.2g} times its load"
-    return Function(words, partial(quantised, step), NONE)
+    return Function(words, partial(quantised, step), frozenset({FaultName.HELD}))
 
 
 def torque_noise(rng: Random) -> Function:
@@ -341,8 +341,9 @@ def torque_sine(rng: Random) -> Function:
 
 
 def no_sign(rng: Random) -> Function:
-    """Return sizes without signs."""
-    return Function("without its sign", unsigned, frozenset({FaultName.UNSIGNED}))
+    """Return sizes without signs: of torque that is below zero throughout, the opposite."""
+    names = frozenset({FaultName.UNSIGNED, FaultName.SIGN})
+    return Function("without its sign", unsigned, names)
 
 
 def position_factor(rng: Random) -> Function:

@@ -69,8 +69,6 @@ TELLING_APART = (
     "record once more with a known mass on the flange, which weighs where the joint really is"
 )
 """What tells a wrong zero from wrong centres of mass."""
-OTHER_ARM = 0.3
-"""Share of all torque that is unexplained from which on it is another arm's."""
 LATE_JOINT = 5.0
 """Least gain in the log evidence at which the torque of one joint is late: right logs gain 0.4 at
 most, 20 ms at a shoulder 7 to 15, for weight that comes late is viscous friction but for a few
@@ -374,9 +372,8 @@ def misfit(fitted: Fit, least: float) -> Finding:
     if least < share:
         texts.append(f"the nearest single cause leaves {percent(least)}")
     texts += [missing_torque(fitted, joint) for joint in worst]
-    name = FaultName.MODEL if share > OTHER_ARM else FaultName.UNEXPLAINED
     remedy = f"{RIGHT_MODEL}, and that it carried the same load all the time, with no contact"
-    return Finding(Level.DOUBTS, name, "; ".join(texts), remedy)
+    return Finding(Level.DOUBTS, FaultName.UNEXPLAINED, "; ".join(texts), remedy)
 
 
 def missing_torque(fitted: Fit, joint: int) -> str:

@@ -16,6 +16,7 @@ in an orthonormal basis of symmetric matrices, which are also the rows of Clarab
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from dataclasses import dataclass, replace
 from functools import cache
@@ -390,7 +391,7 @@ def _load_lapack() -> None:
     """Load the two modules of SciPy in which Clarabel looks up LAPACK, and nothing around them.
 
     Their package takes as long to import as all searches of a log. Where a release of SciPy has
-    them elsewhere, Clarabel imports the package.
+    them elsewhere, or they need more of it, Clarabel imports the package.
     """
     import scipy
 
@@ -399,9 +400,10 @@ def _load_lapack() -> None:
     for name in ("scipy.linalg.cython_blas", "scipy.linalg.cython_lapack"):
         spec = None if name in sys.modules else finder.find_spec(name)
         if spec is not None and spec.loader is not None:
-            module = module_from_spec(spec)
-            spec.loader.exec_module(module)
-            sys.modules[name] = module
+            with contextlib.suppress(ImportError):
+                module = module_from_spec(spec)
+                spec.loader.exec_module(module)
+                sys.modules[name] = module
 
 
 def _units(thetas: Array) -> Array:
