@@ -192,9 +192,8 @@ def at_base(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
 
 def at_gears(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
     """Yield what all gears lose of their load, as one share."""
-    if "load" in fitted.arm.terms:
-        loads = fitted.arm.terms["load"].names
-        yield Explanation(fault, common_effect(loads, fault.prior))
+    loads = fitted.arm.terms["load"].names
+    yield Explanation(fault, common_effect(loads, fault.prior))
 
 
 def of_hand(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
@@ -318,7 +317,7 @@ def of_drifting_scales(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
     """
     terms = fitted.arm.terms
     scales = terms[SCALES].names
-    friction = [terms[key].names for key in DRY_AND_VISCOUS if key in terms]
+    friction = [terms[key].names for key in DRY_AND_VISCOUS]
     for owner, joint in owners(fitted).items():
         which = slice(None) if joint is None else slice(joint, joint + 1)
         rubbing = [name for names in friction for name in names[which]]
@@ -349,10 +348,9 @@ def friction_change(
 ) -> Iterator[Explanation]:
     """Yield dry and viscous friction of all joints, changed by shares (B,) of it in each block."""
     terms = fitted.arm.terms
-    if COULOMB.name in terms:
-        names = [name for key in DRY_AND_VISCOUS for name in terms[key].names]
-        spread = fault.prior * np.abs([fitted.by_name[name] for name in names])
-        yield Explanation(fault, effect(names, spread, None, shares))
+    names = [name for key in DRY_AND_VISCOUS for name in terms[key].names]
+    spread = fault.prior * np.abs([fitted.by_name[name] for name in names])
+    yield Explanation(fault, effect(names, spread, None, shares))
 
 
 def starts(fitted: Fit) -> Iterator[Array]:
@@ -387,30 +385,32 @@ def of_changing_load(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
 
 
 def incidents(
-    fitted: Fit,
-    fault: Fault,
-    effect_of: Callable[[str, int, Array], Effect],
-    has_torque_unit: bool,
-) -> Iterator[Explanation]:
-    """Yield what begins at a joint in the middle of a log, of an arm that is compared with a model.
+    key_of: Callable[[str], str], is_torque: bool
+) -> Callable[[Fit, Fault], Iterator[Explanation]]:
+    """Return the places of what begins at a joint in the middle of a log.
 
     Such a log is a single run: a cable that catches, a brake, a motor that gets weaker.
 
     Args:
-        fitted: the fit.
-        fault: the row.
-        effect_of: returns the effect of a joint's name, its index and shares (B,) of blocks.
-        has_torque_unit: whether the number is a torque.
+        key_of: returns the name of the column that changes from the name of a joint.
+        is_torque: whether the number is a torque, over the strongest joint's; else a share.
     """
-    if fitted.question.differing is None:
-        return
-    slides = fitted.arm.robot.slides
-    for after in starts(fitted):
-        for joint, name in enumerate(fitted.arm.joints):
-            unit = torque_unit(name in slides) if has_torque_unit else ""
-            own = effect_of(name, joint, after)
+
+    def places(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
+        """Yield the change at each joint from each block on."""
+        if fitted.question.differing is None:
+            return
+        slides = fitted.arm.robot.slides
+        size = float(np.max(fitted.sums.rms_torque)) if is_torque else 1.0
+        for after, (joint, name) in product(
+            starts(fitted), enumerate(fitted.arm.joints)
+        ):
+            unit = torque_unit(name in slides) if is_torque else ""
+            own = effect([key_of(name)], fault.prior * size, joint, after)
             choices = len(fitted.sums.logs)
             yield Explanation(fault, own, {"joint": name}, unit, choices=choices)
+
+    return places
 
 
 def of_failing_supply(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
@@ -420,44 +420,6 @@ def of_failing_supply(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
         for after in starts(fitted):
             change = common_effect(scales, fault.prior, None, after)
             yield Explanation(fault, change, choices=len(fitted.sums.logs))
-
-
-def of_failing_motor(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
-    """Yield the torque of each joint that changes by a share from a block on."""
-    yield from incidents(
-        fitted,
-        fault,
-        lambda name, joint, after: effect(
-            [SCALE.key_of(name)], fault.prior, joint, after
-        ),
-        has_torque_unit=False,
-    )
-
-
-def of_catching_cable(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
-    """Yield a constant torque at each joint from a block on, over the strongest joint's."""
-    strongest = float(np.max(fitted.sums.rms_torque))
-    yield from incidents(
-        fitted,
-        fault,
-        lambda name, joint, after: effect(
-            [OFFSET.key_of(name)], fault.prior * strongest, joint, after
-        ),
-        has_torque_unit=True,
-    )
-
-
-def of_dragging_brake(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
-    """Yield dry friction of each joint from a block on, over the strongest joint's torque."""
-    strongest = float(np.max(fitted.sums.rms_torque))
-    yield from incidents(
-        fitted,
-        fault,
-        lambda name, joint, after: effect(
-            [COULOMB.key_of(name)], fault.prior * strongest, joint, after
-        ),
-        has_torque_unit=True,
-    )
 
 
 # ---- the table
@@ -648,7 +610,7 @@ FAULTS = (
         FaultName.TORQUE_SCALE,
         f"{RUN}, the torque of {{joint}} reads {{value}} {{more}} for what it moves",
         "look after the joint's motor",
-        of_failing_motor,
+        incidents(SCALE.key_of, is_torque=False),
         0.4,
         "%",
         is_of_any_log=False,
@@ -657,7 +619,7 @@ FAULTS = (
         FaultName.FORCE,
         f"{RUN}, a constant torque of {{value}} acts at {{joint}}, as of a cable or a hose",
         "take it away",
-        of_catching_cable,
+        incidents(OFFSET.key_of, is_torque=True),
         0.5,
         level=Level.REFUSES,
         is_of_any_log=False,
@@ -666,7 +628,7 @@ FAULTS = (
         FaultName.FRICTION,
         f"{RUN}, the dry friction of {{joint}} is {{value}} {{higher}}",
         "look after its brake and gear",
-        of_dragging_brake,
+        incidents(COULOMB.key_of, is_torque=True),
         0.5,
         is_of_any_log=False,
     ),
