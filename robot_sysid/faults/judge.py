@@ -62,7 +62,7 @@ NOTED = 0.005
 """Share of all torque from which on a fault of one joint is noted: half of what logs of right
 models leave unexplained."""
 SURELY_CLEAR = 3.0 * CLEAR
-"""Gain from which on a fault is noted however small it is [nats]."""
+"""Gain from which on a fault is shown that makes no more torque than friction leaves [nats]."""
 MOST_WEIGHED = 8
 """Explanations that are weighed in a round: to weigh one takes much longer than to offer it."""
 SLOW_SHARE = 0.5
@@ -97,16 +97,16 @@ class Score:
     @property
     def value(self) -> float:
         """The number, as the fit has it."""
-        if self.explanation.fault.is_norm:
-            return float(np.linalg.norm(self.offer.values[:3]))
-        return float(self.offer.values[0])
+        values = self.offer.values
+        is_norm = self.explanation.fault.is_norm
+        return float(np.linalg.norm(values[:3]) if is_norm else values[0])
 
     @property
     def error(self) -> float:
         """Standard error of the number in the fit."""
-        if self.explanation.fault.is_norm:
-            return float(np.max(self.offer.errors[:3]))
-        return float(self.offer.errors[0])
+        return float(
+            np.max(self.offer.errors[: 3 if self.explanation.fault.is_norm else 1])
+        )
 
     @property
     def distance(self) -> float:
@@ -126,19 +126,21 @@ class Score:
         return self.distance >= SURE
 
     @cached_property
+    def explained(self) -> Array:
+        """Square of the torque (J,) that is left unexplained without it only."""
+        left = np.maximum(self.offer.successive, 0.0) / self.fitted.sums.row_counts
+        return self.fitted.unexplained**2 - left
+
+    @property
     def share(self) -> float:
         """The torque that is left unexplained without it only, as a share of all torque."""
-        sums = self.fitted.sums
-        left = np.maximum(self.offer.successive, 0.0) / sums.row_counts
-        explained = np.sum(np.maximum(self.fitted.unexplained**2 - left, 0.0))
-        return float(np.sqrt(explained / np.sum(sums.rms_torque**2)))
+        explained = np.sum(np.maximum(self.explained, 0.0))
+        return float(np.sqrt(explained / np.sum(self.fitted.sums.rms_torque**2)))
 
     @cached_property
     def is_structural(self) -> bool:
         """Whether it explains no more, at any joint that it blames, than real friction leaves."""
-        left = np.maximum(self.offer.successive, 0.0) / self.fitted.sums.row_counts
-        explained = self.fitted.unexplained**2 - left
-        is_more = explained > structural(self.fitted) ** 2
+        is_more = self.explained > structural(self.fitted) ** 2
         joint = self.explanation.effect.joint
         return not np.any(is_more if joint is None else is_more[joint])
 
@@ -187,8 +189,7 @@ class Score:
         explanation = self.explanation
         is_of_log = explanation.effect.joint is None
         is_of_log = is_of_log and explanation.fault.level is not Level.SAYS
-        is_large = self.is_harmful or self.share > NOTED
-        return is_of_log or is_large or self.gain >= SURELY_CLEAR
+        return is_of_log or self.is_harmful or self.share > NOTED
 
     @property
     def text(self) -> str:

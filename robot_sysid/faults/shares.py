@@ -76,25 +76,15 @@ class Shares:
         most = np.abs(self.weight) + np.sqrt(np.diag(self.weight_covariance))
         is_small = np.abs(self.weight) * self.torque < OTHERWISE * self.measured
         is_lost = (most < LOST) & is_small
-        share, error = self.all_weight
+        share, error = common_share(self.weight, self.weight_covariance)
         is_clear = abs(share) + INTERVAL * error < LOST and self.left < MOST_LEFT
-        return bool(np.any(own) and np.all(is_lost[own]) and is_clear)
+        return bool(np.all(is_lost[own]) and is_clear)
 
     @property
     def has_inertia(self) -> bool:
         """Whether the torque of the links' inertia is rather there than not."""
-        share, _ = self.all_inertia
+        share, _ = common_share(self.inertia, self.inertia_covariance)
         return share > 0.5
-
-    @property
-    def all_weight(self) -> tuple[float, float]:
-        """(Share of the torque of weight, its standard error), of all joints together."""
-        return common_share(self.weight, self.weight_covariance)
-
-    @property
-    def all_inertia(self) -> tuple[float, float]:
-        """(Share of the torque of inertia, its standard error), of all joints together."""
-        return common_share(self.inertia, self.inertia_covariance)
 
     @property
     def is_weight_alone(self) -> bool:
@@ -104,9 +94,8 @@ class Shares:
         """
         own = self.is_weighed
         is_there = np.any(own) and np.all(self.weight[own] > LOST)
-        share, error = self.all_inertia
-        is_gone = share + INTERVAL * error < NO_INERTIA
-        return bool(is_there and is_gone and self.left < MOST_LEFT)
+        share, error = common_share(self.inertia, self.inertia_covariance)
+        return bool(is_there and share + INTERVAL * error < NO_INERTIA)
 
 
 def common_share(shares: Array, covariance: Array) -> tuple[float, float]:
