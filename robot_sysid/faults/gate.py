@@ -30,7 +30,7 @@ from robot_sysid.faults.samples import (
     velocity_notes,
     velocity_ratios,
 )
-from robot_sysid.faults.stretches import SLOWEST, stretch_findings
+from robot_sysid.faults.stretches import stretch_findings
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
 from robot_sysid.records.messages import Level, Progress, position_unit
@@ -49,6 +49,8 @@ TRYING = "Trying explanations"
 """Label of the progress of the search for faults."""
 LEAST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
+SLOWEST = 0.05
+"""Speed that at least one joint of a moving arm reaches [rad/s]."""
 LEAST_ROWS = 26
 """Independent samples of a joint that are needed: two for each of the last link's ten parameters
 and the joint's friction. What they do not show keeps the model's numbers, and its ± are as wide."""
@@ -146,10 +148,8 @@ def judge(
     wrong = wrong or [*slow_findings(robot, recordings)]
     doubtful = [each.about.stands_for & StandsFor.MOMENT for each in [*found, *wrong]]
     if not any(doubtful):
-        # Contacts that come back are a doubt, unless something else is wrong.
         touched = [each for log in explained.right.recordings for each in log.touched]
-        touches = stretch_findings(explained.right.arm.joints, touched)
-        found += [each for each in touches if each.level is Level.SAYS or not wrong]
+        found += stretch_findings(explained.right.arm.joints, touched)
     if not any(finding.about is FaultName.CLOCK for finding in wrong):
         found += [note for each in checked for note in each.velocities]
     answer = explained.answer if judged is fitted else None

@@ -67,8 +67,6 @@ LEAST_MOVE = 0.01
 RIGHT_TIME = 0.03
 """Error of time by velocities that is none: correct logs have 0.001, a log whose velocities pass a
 low-pass of 3 Hz has 0.028."""
-IN_COMMON = 0.02
-"""Largest difference of joints' ratios that have one error of time in common."""
 ODD_VELOCITY = 0.1
 """Error of a joint's velocities from which on it is noted."""
 CLEAR_STEP = 64.0
@@ -102,12 +100,8 @@ LEAST_WAYS = 0.1
 COMPARED_SAMPLES = 2000
 """Samples whose sign is compared with that of the motion."""
 SHOWN_WEIGHT = 0.5
-"""What adds to a torque in one direction and takes away from it in the other, as a share of the
-model's weight, and of the torque, from which on it is weight: without a sign there is a fifth at
-most, by friction."""
-LEAST_CHANGE = 0.1
-"""Deviation of a joint's weight over its mean from which on a torque is seen to grow with it: with
-0.16 or more, external torque grows by 0.1 to 0.5 of its mean, torque of weight by 0.7 to 1.3."""
+"""By how much a torque grows with the model's weight, over the ratio of their means, from which on
+it is of weight: external torque grows by 0.1 to 0.5 of its mean, torque of weight by 0.7 to 1.3."""
 LEAST_WEIGHT = 0.25
 """Torque of the model's weight, as a share of that of the joint that carries most, above which a
 joint carries weight."""
@@ -201,14 +195,13 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
 def time_share(ratios: Array) -> float | None:
     """Return the share by which time is too long if velocities are right, from ratios (n,).
 
-    It is zero where joints do not have it in common; None where no velocity says anything.
+    It is zero where it is none, or none of time; None where no velocity says anything.
     """
     off = ratios[ratios != 1.0] - 1.0
     if not len(off):
         return None
     share = float(np.median(off))
-    is_common = RIGHT_TIME < abs(share) < OTHER and np.ptp(off) < IN_COMMON
-    return share if is_common else 0.0
+    return share if RIGHT_TIME < abs(share) < OTHER else 0.0
 
 
 def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Finding]:
@@ -323,8 +316,6 @@ def unsigned_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
     Weight may hold a joint, or a whole arm, on one side. Where its torque comes down to nothing,
     friction, which turns round with the motion, and noise take it to the other side.
     """
-    if any(piece.command is not None for piece in pieces):
-        return
     q, tau = (
         np.concatenate([getattr(piece, name)[~piece.is_left_out] for piece in pieces])
         for name in ("q", "tau")
@@ -357,8 +348,6 @@ def motion_sign_findings(
     larger by the weight in one direction and smaller by it in the other; a torque without a sign is
     as large in both, and grows with the weight, which friction alone does not (external torque).
     """
-    if any(piece.command is not None for piece in pieces):
-        return
     parts = [_directions(piece) for piece in pieces]
     every = max(1, sum(len(q) for q, *_ in parts) // COMPARED_SAMPLES)
     q, way, tau = (np.concatenate(of)[::every] for of in zip(*parts))
@@ -409,15 +398,10 @@ def _has_sign_of_motion(way: Array, tau: Array, weight: Array) -> bool:
     own = weight[is_clear]
     # What weight adds in one direction and takes away in the other, beside what is alike in both.
     columns = np.stack((np.abs(own), own * direction, np.ones_like(own)), axis=1)
-    alike, signed, _ = np.linalg.lstsq(columns, along, rcond=None)[0]
+    alike, *_ = np.linalg.lstsq(columns, along, rcond=None)[0]
     usual = float(np.mean(along)) / max(float(np.mean(np.abs(own))), 1e-300)
-    # Friction alone, as of external torque, has that sign, too. Where weight hardly changes, only
-    # the size tells it from that.
-    changes = np.std(np.abs(own)) > LEAST_CHANGE * np.mean(np.abs(own))
-    of_weight = float(alike) / usual if changes else usual
-    return of_weight > SHOWN_WEIGHT and abs(float(signed)) < SHOWN_WEIGHT * min(
-        usual, 1.0
-    )
+    # Friction alone, as of external torque, has that sign, too.
+    return float(alike) > SHOWN_WEIGHT * usual
 
 
 def check_recording(
@@ -430,9 +414,10 @@ def check_recording(
         pieces: the log, cut at gaps.
     """
     kept, found = leave_out(robot.joint_names, pieces, [*failed_sensors(pieces)])
+    # Not of servos, whose positions were commanded.
+    if all(piece.command is None for piece in kept):
+        found += [*unsigned_findings(kept), *motion_sign_findings(robot, kept)]
     found += [
-        *unsigned_findings(kept),
-        *motion_sign_findings(robot, kept),
         *clock_findings(kept),
         *saturation_findings(robot, kept),
         *rate_findings(robot, kept),

@@ -26,8 +26,6 @@ MANY_VALUES = 100
 ROUNDED = 1.5
 """Steps of a channel by which it has to jump, before or after it repeated a value: torque that
 changes slowly stays on one step, and goes on to the next."""
-SLOWEST = 0.05
-"""Speed that at least one joint of a moving arm reaches [rad/s]."""
 STANDING = 0.005
 """Speed up to which a joint stands [rad/s]: what holds it, its friction or a brake, needs no torque
 that changes, and its rows are not used."""
@@ -64,12 +62,9 @@ def held_torques(
             continue
         # The range of positions counts: an arm may return to where it was.
         length = min(float(np.ptp(piece.time[rows])), 1.0)
-        stands = np.ptp(q[rows]) < STANDING * length
-        if not stands and np.max(np.ptp(piece.q[rows], axis=0)) > SLOWEST * length:
-            yield (
-                FaultName.SATURATED if tau[rows.start] in ends else FaultName.HELD,
-                rows,
-            )
+        if np.ptp(q[rows]) >= STANDING * length:
+            is_end = tau[rows.start] in ends
+            yield FaultName.SATURATED if is_end else FaultName.HELD, rows
 
 
 def leave_out(
