@@ -131,5 +131,4 @@ def unexplained_findings(fitted: Fit, state: State) -> list[Finding]:
     """
     named = [*state.reading.findings]
     is_sign = {each.about for each in named} == {FaultName.SIGN}
-    is_shown = is_sign and drives(fitted) and not drives(state.reading.fit)
-    return named if is_shown else [misfit(fitted, state.least)]
+    return named if is_sign and drives(fitted) else [misfit(fitted, state.least)]

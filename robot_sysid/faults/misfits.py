@@ -43,17 +43,12 @@ from robot_sysid.faults.plausibility import (
     typical_torque,
 )
 from robot_sysid.faults.reading_search import Evidence
-from robot_sysid.faults.scales import (
-    ScaleCorrections,
-    little_weight,
-    may_be_odd,
-    torque_scales,
-)
+from robot_sysid.faults.scales import ScaleCorrections, little_weight, may_be_odd
 from robot_sysid.faults.shares import LOST, Shares
 from robot_sysid.faults.table import TIME, WHOLE_CLOCK, at_inertia
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
-from robot_sysid.records.levels import CLEAR, INTERVAL, SURE, UNEXPLAINED
+from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 from robot_sysid.records.parameters import DELAY, ZERO
 from robot_sysid.records.usual_errors import WRONG_DELAY
@@ -226,9 +221,7 @@ def model_findings(
     zeros = [] if state.joined else [*odd_zeros(answer)]
     wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
     wrong += wrong_centre(answer)
-    # A fault that was found may explain them.
     is_odd = may_be_odd(fitted) and scales.scales.is_odd
-    is_odd = is_odd and torque_scales(current, state.effects).is_odd
     # Scales follow whatever else is left over.
     is_odd = is_odd and scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
@@ -339,8 +332,6 @@ def wrong_centre(answer: Fit) -> Iterator[Finding]:
     if odd is None or odd.kind != CENTRE:
         return
     found = centre_off_model(answer, odd.link)
-    if found.sure < 0.0:
-        return
     link = answer.arm.robot.links[odd.link]
     stated = ", ".join(f"{1e3 * each:.0f}" for each in link.theta[1:4] / link.theta[0])
     way = ", ".join(f"{each:.2f}" for each in found.direction)
@@ -404,11 +395,8 @@ def external_findings(fitted: Fit, shares: Shares) -> Iterator[Finding]:
     text = (
         "the torque lacks the weight of the arm's links "
         f"({percent(abs(float(shares.weight[joint])))} of it is left at "
-        f"{fitted.arm.joints[joint]}): "
-    )
-    text += (
-        "it is external torque, from which a controller's model was taken off, and shows friction "
-        "and what hangs on the flange alone"
+        f"{fitted.arm.joints[joint]}): it is external torque, from which a controller's model was "
+        "taken off, and shows friction and what hangs on the flange alone"
     )
     yield Finding(Level.REFUSES, FaultName.GRAVITY, text, MEASURED)
 
@@ -477,8 +465,7 @@ def computed_findings(fitted: Fit) -> Iterator[Finding]:
     share, error, distance = friction_share(fitted)
     is_absent = abs(share) < SURE * error and distance < FRICTION_DEVIATIONS
     # The friction of a real arm would show, behind its gears as well.
-    is_known = error < LEAST_FRICTION / FRICTION_ERRORS
-    has_none = is_absent and is_known and fitted.unexplained_share < UNEXPLAINED
+    has_none = is_absent and error < LEAST_FRICTION / FRICTION_ERRORS
     if has_none and left < LEAST_MEASURED and noise < SENSOR_NOISE:
         text = (
             "the torque follows rigid-body dynamics and has no friction (less than "

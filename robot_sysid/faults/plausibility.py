@@ -224,7 +224,6 @@ def fits(fitted: Fit) -> bool:
         fitted.unexplained_share < LITTLE
         and not is_foreign(fitted)
         and is_plausible(fitted)
-        and not drives(fitted)
         and not touched
     )
 
