@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 python -m benchmarks.trust.ablation MODELS_FOLDER [--real REAL_LOGS]
         [--real-parts 66] [--wrong 40] [--right 40] [--seed 1] [--package robot_sysid.faults]
         [--only TEXT] [--kinds operand test ...] [--most 0] [--rows FILE] [--jobs 1] [--limit 40]
-        [--write]
+        [--notice] [--write]
 
 Each is taken out alone: an operand of ``and`` and ``or``, a test (always and never), the filter of
 a comprehension, a level that stops a log, a constant (zero, a tenth, ten times, infinite), a row of
@@ -13,12 +13,15 @@ the table of faults. Logs are parts of real ones (all of them right), wrong ones
 a difference to a condition (``benchmarks.trust.ablated_code``), the process forks, and a child
 judges on without it, ``--jobs`` at once. What makes no difference anywhere costs nothing. All of
 it in one log takes ten to forty minutes of a core: ``--most 3`` tries each in three logs of each
-table only in which it makes a difference to a condition.
+table only in which it makes a difference to a condition. ``--notice`` takes nothing out, and takes
+some seconds for a log: it says what makes a difference to no condition in any log, and so changes
+no line for sure.
 
 Counted are logs whose class changes: right ones used or accused; wrong ones stopped and named
 rightly, doubted, or misnamed, and used with a note that names what is wrong, or silently.
-``--write`` writes the table to ablation.md beside this script after each log, what changes no line
-first. FILE keeps the logs that are done; a run that was stopped goes on with the others.
+``--write`` writes the table to ablation.md beside this script after each log: what changes no line,
+and how much changes some in each module; all of it is printed at the end. FILE keeps the logs that
+are done; a run that was stopped goes on with the others.
 """
 
 from __future__ import annotations
@@ -188,7 +191,7 @@ class Run:
         bench: that judges.
         line: the log.
         keys: of what is taken out.
-        jobs: children at once.
+        jobs: children at once; 0 takes nothing out.
     """
 
     def __init__(self, bench: Bench, line: Line, keys: Set[str], jobs: int) -> None:
@@ -230,7 +233,7 @@ class Run:
 
     def _notice(self, key: str) -> None:
         """Fork a child that goes on without something."""
-        if key not in self._keys:
+        if key not in self._keys or not self._jobs:
             return
         if os.getppid() != self._parent:
             # Whoever started this was killed.
@@ -504,13 +507,22 @@ def escaped(text: str) -> str:
 
 
 def page_lines(
-    found: Sequence[Row], judged: Sequence[Row], command: str
+    found: Sequence[Row], judged: Sequence[Row], command: str, is_notice: bool
 ) -> Iterator[str]:
-    """Yield the lines of the page."""
+    """Yield the lines of the page; ``is_notice`` is whether nothing was taken out."""
+    busy = [
+        row
+        for row in found
+        if (row["noticed"] if is_notice else change_text(row) != "no line")
+    ]
     yield "# What each condition of the judging of logs changes"
     yield ""
-    yield f"Written by `{command}`, see its head; each is taken out alone. The class crashed"
-    yield "says that the judging relies on a condition, as on one that looks whether there is any."
+    yield f"Written by `{command}`, see its head."
+    if is_notice:
+        yield "Nothing is taken out: what makes a difference to a condition may change a line, and"
+        yield "what makes none changes no line."
+    else:
+        yield "Each is taken out alone, in the logs in which it makes a difference to a condition."
     yield ""
     yield "| logs | number | as they are judged |"
     yield "| --- | --- | --- |"
@@ -518,30 +530,32 @@ def page_lines(
         counts = Counter(r["outcome"][0] for r in judged if r["table"] == table)
         words = ", ".join(f"{name} {count}" for name, count in counts.most_common())
         yield f"| {table} | {sum(counts.values())} | {words} |"
-    idle = [row for row in found if change_text(row) == "no line"]
     yield ""
-    yield f"## Changes no line: {len(idle)} of {len(found)}"
+    title = "Makes a difference to no condition" if is_notice else "Changes no line"
+    yield f"## {title}: {len(found) - len(busy)} of {len(found)}"
     yield ""
-    yield "The last column counts the logs in which it was tried, as it makes a difference there."
+    yield "Tried is in how many logs it makes a difference to a condition."
     yield ""
     yield "| where | what | taken out | tried |"
     yield "| --- | --- | --- | --- |"
-    for row in idle:
+    for row in found:
+        if row in busy:
+            continue
         ablation = row["ablation"]
         cells = [row["place"], f"`{escaped(ablation['what'])}`", ablation["way"]]
         yield f"| {' | '.join(cells)} | {row['noticed']} |"
     yield ""
-    yield "## Changes lines"
+    yield "## The others"
     yield ""
-    yield "| where | what | taken out | worse | better | lines |"
-    yield "| --- | --- | --- | --- | --- | --- |"
-    busy = [row for row in found if change_text(row) != "no line"]
-    for row in sorted(busy, key=lambda row: gain_of(row)[0] - gain_of(row)[1]):
-        ablation = row["ablation"]
-        worse, better = gain_of(row)
-        cells = [row["place"], f"`{escaped(ablation['what'])}`", ablation["way"]]
-        cells += [str(worse), str(better), escaped(change_text(row))]
-        yield f"| {' | '.join(cells)} |"
+    yield "| module | things | in one log only | logs that get worse | better |"
+    yield "| --- | --- | --- | --- | --- |"
+    modules = dict.fromkeys(row["ablation"]["module"] for row in busy)
+    for module in modules:
+        own = [row for row in busy if row["ablation"]["module"] == module]
+        once = sum(row["noticed"] == 1 for row in own)
+        worse, better = map(sum, zip(*map(gain_of, own)))
+        name = module.rpartition(".")[2]
+        yield f"| {name}.py | {len(own)} | {once} | {worse} | {better} |"
 
 
 def main() -> int:
@@ -564,6 +578,7 @@ def main() -> int:
     parser.add_argument("--limit", type=float, default=40.0, help="for one log [s]")
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--notice", action="store_true")
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -583,7 +598,8 @@ def main() -> int:
             if key not in kept:
                 for line in make():
                     open_keys = keys - tried_enough(judged, line.table, options.most)
-                    run = Run(bench, line, open_keys, options.jobs)
+                    jobs = 0 if options.notice else options.jobs
+                    run = Run(bench, line, open_keys, jobs)
                     row = in_child(run.judge)
                     if row is not None:
                         kept.add({"key": key, **row})
@@ -606,11 +622,10 @@ def write_page(
 ) -> None:
     """Write the page of the logs that were judged so far."""
     found = list(rows_of_ablations(chosen, judged))
-    given = (
-        f"--kinds {' '.join(options.kinds)} --most {options.most} --seed {options.seed}"
-    )
+    given = f"--kinds {' '.join(options.kinds)} --seed {options.seed} "
+    given += "--notice" if options.notice else f"--most {options.most}"
     command = f"python -m benchmarks.trust.ablation {given}"
-    text = "\n".join(page_lines(found, judged, command))
+    text = "\n".join(page_lines(found, judged, command, options.notice))
     PAGE.write_text(f"{text}\n", encoding="utf-8")
 
 
