@@ -211,10 +211,7 @@ def model_misfit(fitted: Fit, beside: Sequence[Term]) -> float:
     The last one is free, and so are the terms ``beside`` it. What has no term is the model's.
     """
     terms = [*terms_of(fitted.arm, LAST_LINKS), *beside]
-    after = fitted.fit(terms, None, fitted.noise, fitted.correlation, possible=False)
-    squares = after.equations.squared_residuals(after.free)
-    total = float(np.sum(fitted.sums.squared_torque))
-    return float(np.sqrt(np.sum(squares) / max(total, 1e-300)))
+    return fitted.refit(terms).residual_share
 
 
 def fits(fitted: Fit) -> bool:

@@ -157,8 +157,6 @@ def shares_of(fitted: Fit) -> Shares:
     covariance[np.ix_(shown, shown)] = view.inverse[np.ix_(at, at)]
     torque = np.sqrt(mixed.squares[:, len(kept) : -count] / mixed.row_counts[:, None])
     torque = np.diag(torque)
-    squares = view.equations.squared_residuals(view.free)
-    left = np.sqrt(np.sum(squares) / max(float(np.sum(sums.squared_torque)), 1e-300))
     is_slide = arm.robot.is_slide[arm.indices]
     is_compared = ~is_slide | np.all(is_slide)
     return Shares(
@@ -169,5 +167,5 @@ def shares_of(fitted: Fit) -> Shares:
         torque,
         sums.rms_torque,
         is_compared & (torque > LEAST_WEIGHED * np.max(torque[is_compared])),
-        float(left),
+        view.residual_share,
     )
