@@ -534,16 +534,19 @@ def page_lines(
     title = "Makes a difference to no condition" if is_notice else "Changes no line"
     yield f"## {title}: {len(found) - len(busy)} of {len(found)}"
     yield ""
-    yield "Tried is in how many logs it makes a difference to a condition."
+    yield "Tried is in how many logs it makes a difference to a condition. Tests of faults hold"
+    yield "some of these, and others look whether there is anything at all."
     yield ""
     yield "| where | what | taken out | tried |"
     yield "| --- | --- | --- | --- |"
+    idle: dict[tuple[str, str], list[Row]] = {}
     for row in found:
-        if row in busy:
-            continue
-        ablation = row["ablation"]
-        cells = [row["place"], f"`{escaped(ablation['what'])}`", ablation["way"]]
-        yield f"| {' | '.join(cells)} | {row['noticed']} |"
+        if row not in busy:
+            what = f"`{escaped(row['ablation']['what'])}`"
+            idle.setdefault((row["place"], what), []).append(row)
+    for (place, what), rows in idle.items():
+        ways = ", ".join(row["ablation"]["way"] for row in rows)
+        yield f"| {place} | {what} | {ways} | {max(row['noticed'] for row in rows)} |"
     yield ""
     yield "## The others"
     yield ""
@@ -612,8 +615,12 @@ def main() -> int:
     for row in found:
         if change_text(row) != "no line":
             print(line_of(row))
-    idle = sum(change_text(row) == "no line" for row in found)
-    print(f"{idle} of {len(found)} change no line")
+    if options.notice:
+        idle = sum(not row["noticed"] for row in found)
+        print(f"{idle} of {len(found)} make a difference to no condition")
+    else:
+        idle = sum(change_text(row) == "no line" for row in found)
+        print(f"{idle} of {len(found)} change no line")
     return 0
 
 
@@ -622,7 +629,8 @@ def write_page(
 ) -> None:
     """Write the page of the logs that were judged so far."""
     found = list(rows_of_ablations(chosen, judged))
-    given = f"--kinds {' '.join(options.kinds)} --seed {options.seed} "
+    given = f"--kinds {' '.join(options.kinds)} --seed {options.seed} --real-parts "
+    given += f"{options.real_parts} --wrong {options.wrong} --right {options.right} "
     given += "--notice" if options.notice else f"--most {options.most}"
     command = f"python -m benchmarks.trust.ablation {given}"
     text = "\n".join(page_lines(found, judged, command, options.notice))
