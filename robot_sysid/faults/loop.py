@@ -156,13 +156,7 @@ def found_in(
     state = read_as(Correction((), 0.0, fitted), evidence)
     for reading in readings(fitted, state, search, scales, evidence):
         other = read_as(reading, evidence)
-        # One joint that all others contradict is simpler than factors of several.
-        names = {score.name for score in state.joined}
-        is_simpler = names == {FaultName.TORQUE_SCALE} and reading is scales.alone
-        if other.explains and is_simpler:
-            state = other
-        else:
-            state = max(state, other, key=lambda each: each.rank)
+        state = max(state, other, key=lambda each: each.rank)
     return state
 
 

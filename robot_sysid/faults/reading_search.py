@@ -550,10 +550,7 @@ def exchange_correction(
     exchanged = exchanges(fitted.arm.robot, search.moving[-OF_WRIST:])
     tried = [each for each in exchanged if np.any(each.reading.blamed & left)]
     found = search.one_by_one(tried, evidence) if tried else []
-    for each in correction_of(fitted, found, 1, HALF):
-        is_less = each.fit.unexplained_share < HALF * fitted.unexplained_share
-        if is_less and each.explains:
-            yield each
+    yield from correction_of(fitted, found, 1, HALF)
 
 
 def column_correction(
@@ -651,10 +648,10 @@ def column_findings(
                 # About an upright axis, a base that is turned is the same.
                 remedy += f", or the direction of {option_name('gravity')}"
             # A smaller one is an encoder's offset, as a row of the faults of torque has it.
-            is_turned = np.radians(size) >= ZERO_STEP
-            level = Level.REFUSES if is_turned else Level.DOUBTS
-            correction = reading.columns
-            yield Finding(level, FaultName.ZERO, text, remedy, correction=correction)
+            columns = reading.columns
+            yield Finding(
+                Level.REFUSES, FaultName.ZERO, text, remedy, correction=columns
+            )
 
 
 def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:
