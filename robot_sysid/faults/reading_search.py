@@ -115,9 +115,9 @@ FACTORS = (0.8, 1.25)
 """Factors on one joint's torque that are tried: the one that is right is found from there."""
 OF_WRIST = 4
 """Last joints of which two may be exchanged, or turned by motors of both, in a log that fits."""
-GEAR_STEP = np.log(GEARS[-1])
+GEAR_STEP = np.log(GEARS[-1] / GEARS[-2])
 """Step between the factors of a gear that are tried first, as a logarithm."""
-GEAR_ROUNDS = 12
+GEAR_ROUNDS = 8
 """Rounds in which a gear's factor is found: some to come near it, the others to a percent."""
 GEAR_ERROR = 0.03
 """Share by which links that are off make a factor wrong that is found with the model's, at most."""

@@ -40,7 +40,7 @@ _TURNS = tuple(np.radians((90.0, -90.0, 180.0)).tolist())
 """Turns of a joint's zero that are tried: makers and modellers differ by right angles."""
 _TIMES = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
 """Factors of time that are tried; the one that is right is found from the nearest."""
-GEARS = (0.8, 1.25)
+GEARS = (0.5, 0.8, 1.25, 2.0)
 """Factors of one joint's positions that are tried, as of another gear: that which is right is found
 from there. A ratio is on a motor's torque as well, or on its positions alone."""
 TRAVELS = (0.05, 40.0)
