@@ -7,7 +7,7 @@ log and spoil the model that it is identified with, or spoil several things at o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -94,13 +94,18 @@ class Scene(Truth):
 
 
 def draw_scene(
-    path: Path, arm_name: str, deviation: str, duration: float, seed: int
+    path: Path,
+    arm_name: str,
+    deviation: str,
+    duration: float,
+    seed: int,
+    gravity: Sequence[float] | None = None,
 ) -> Scene:
     """Return an arm that differs from a model file with a right log of it.
 
-    Every other log has white noise.
+    Every other log has white noise. ``gravity`` is the direction that is stated; None for none.
     """
-    robot = load_robot_model(path)
+    robot = load_robot_model(path, gravity=gravity)
     has_sensors = arm_name in SENSOR_ARMS
     truth = draw_arm(robot, deviation, has_sensors, duration, seed % 2 == 0, seed)
     return Scene(

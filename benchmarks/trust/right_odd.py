@@ -12,13 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.trust.confusion_causes import Scene, payload_of
+from benchmarks.trust.confusion_causes import Scene, draw_scene, payload_of
 from benchmarks.trust.confusion_mistakes import record
 from benchmarks.trust.drawn_changes import Random, log_uniform
-from benchmarks.trust.real_arms import SENSOR_ARMS
 from rigs.arms.motions import of_joints, slow
-from rigs.arms.wrong_arms import RATE, draw_arm, noise_samples
-from robot_sysid.parser import load_robot_model
+from rigs.arms.wrong_arms import RATE, noise_samples
 
 USUAL_DURATION = 20.0
 """[s]"""
@@ -28,7 +26,6 @@ SELDOM = 30.0
 """Rate of a log with few samples [Hz]."""
 HANGING = (0.0, 0.0, 1.0)
 """Direction of gravity of an arm that hangs."""
-_STREAM = 177
 
 
 @dataclass(frozen=True)
@@ -50,31 +47,6 @@ class OddLog:
 
 Condition = Callable[[Random, Scene], tuple[Scene, str]]
 """Function that returns the scene under a condition, and words for it."""
-
-
-def scene_of(
-    path: Path,
-    arm_name: str,
-    deviation: str,
-    duration: float,
-    seed: int,
-    gravity: tuple[float, ...] | None = None,
-) -> Scene:
-    """Return an arm that differs from a model file as a deviation says, with a right log of it."""
-    robot = load_robot_model(path, gravity=gravity)
-    has_sensors = arm_name in SENSOR_ARMS
-    truth = draw_arm(robot, deviation, has_sensors, duration, seed % 2 == 0, seed)
-    return Scene(
-        truth.arm,
-        truth.plan,
-        truth.motion,
-        truth.log,
-        truth.rigid,
-        friction=truth.log.tau - truth.rigid,
-        rng=np.random.default_rng([seed, _STREAM]),
-        last_masses=(float(truth.theta[0]),),
-        path=path,
-    )
 
 
 def with_noise(scene: Scene, share: float, white: bool) -> Scene:
@@ -223,7 +195,7 @@ def draw_odd_log(rng: Random, path: Path, arm_name: str) -> OddLog:
     duration = SHORT_DURATION if "short" in names else USUAL_DURATION
     gravity = HANGING if "hanging" in names else None
     seed = int(rng.integers(2**31))
-    scene = scene_of(path, arm_name, deviation, duration, seed, gravity)
+    scene = draw_scene(path, arm_name, deviation, duration, seed, gravity)
     described = []
     for name in names:
         scene, words = CONDITIONS[name](rng, scene)
