@@ -75,7 +75,7 @@ LEAST_STEP = 0.02
 """The same over that of the fastest step: with a seventh of the speed or less, near a reversal, a
 step says little of the clock."""
 LONGEST_HELD = 2.0 * SURE * 1e-3 * DELAY
-"""Longest time for which a torque is held, which is late by half of it in the mean [s]."""
+"""Longest time for which a column is held, which is late by half of it in the mean [s]."""
 NEAR_END = 0.02
 """Distance from an end of a channel's range that is near it, as a share of the range."""
 SATURATED = 0.005
@@ -250,7 +250,7 @@ def saturation_findings(
 ) -> Iterator[Finding]:
     """Yield findings on torque channels that saturate, where they are not left out."""
     torques = [piece.tau[~piece.is_left_out] for piece in pieces]
-    held = held_samples(pieces)
+    held = held_samples(pieces, "tau")
     channels = np.concatenate(torques).T
     for name, values, visit in zip(robot.joint_names, channels, held):
         if len(np.unique(values)) < MANY_VALUES:
@@ -275,18 +275,19 @@ def saturation_findings(
                 )
 
 
-def held_samples(pieces: Sequence[Recording]) -> NDArray[np.int64]:
-    """Return for how many samples each joint's torque (n,) is held: those between two changes.
+def held_samples(pieces: Sequence[Recording], quantity: str) -> NDArray[np.int64]:
+    """Return for how many samples each joint's ``q`` or ``tau`` (n,) is held between two changes.
 
-    A slow driver gives each torque several times. A torque in coarse steps repeats by chance, and
+    A slow driver gives each number several times. What comes in coarse steps repeats by chance, and
     goes on to the next step: it is not held.
     """
-    held = np.ones(pieces[0].tau.shape[1], dtype=np.int64)
-    for joint in range(len(held)):
-        values = np.unique(np.concatenate([piece.tau[:, joint] for piece in pieces]))
+    columns = [getattr(piece, quantity).T for piece in pieces]
+    held = np.ones(len(columns[0]), dtype=np.int64)
+    for joint, own in enumerate(zip(*columns)):
+        values = np.unique(np.concatenate(own))
         if len(values) < MANY_VALUES:
             continue
-        changes = [np.diff(piece.tau[:, joint]) for piece in pieces]
+        changes = [*map(np.diff, own)]
         sizes = np.abs(np.concatenate(changes))
         is_jumping = np.median(sizes[sizes > 0.0]) > ROUNDED * np.min(np.diff(values))
         gaps = np.concatenate([np.diff(np.flatnonzero(each)) for each in changes])
@@ -296,18 +297,20 @@ def held_samples(pieces: Sequence[Recording]) -> NDArray[np.int64]:
 
 
 def rate_findings(robot: RobotModel, pieces: Sequence[Recording]) -> Iterator[Finding]:
-    """Yield the finding that torques are held for so long that they are late."""
-    held = held_samples(pieces)
-    length = sampling_period(pieces[0].time) * np.max(held)
-    if np.max(held) > 1 and length > LONGEST_HELD:
-        names = ", ".join(compress(robot.joint_names, held == np.max(held)))
-        yield Finding(
-            Level.DOUBTS,
-            FaultName.HELD,
-            f"the torque of {names} is new in every {np.max(held)}. sample only, "
-            f"{1.0 / length:.3g} times a second: the others repeat it, while the arm moves on",
-            "record torques as often as positions, or keep only the rows in which they are new",
-        )
+    """Yield the finding that columns are held for so long that they are late."""
+    for quantity, word in (("q", "position"), ("tau", "torque")):
+        held = held_samples(pieces, quantity)
+        length = sampling_period(pieces[0].time) * np.max(held)
+        if np.max(held) > 1 and length > LONGEST_HELD:
+            names = ", ".join(compress(robot.joint_names, held == np.max(held)))
+            yield Finding(
+                Level.DOUBTS,
+                FaultName.HELD,
+                f"the {word} of {names} is new in every {np.max(held)}. sample only, "
+                f"{1.0 / length:.3g} times a second: the others repeat it, while the arm moves on",
+                "record positions and torques as often as each other, or keep only the rows in "
+                "which both are new",
+            )
 
 
 def unsigned_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:

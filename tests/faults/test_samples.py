@@ -23,6 +23,7 @@ from robot_sysid.faults.gate import TRYING, require_acceptable
 from robot_sysid.faults.samples import (
     clock_findings,
     motion_sign_findings,
+    rate_findings,
     saturation_findings,
     time_share,
     unsigned_findings,
@@ -49,6 +50,24 @@ from tests.faults.conftest import (
 def test_a_correct_log_has_no_findings():
     assert list(clock_findings([NOISY])) == []
     assert list(saturation_findings(arm_of(JOINTS), [NOISY])) == []
+
+
+@pytest.mark.parametrize("quantity, word", [("q", "position"), ("tau", "torque")])
+@pytest.mark.parametrize("length, is_late", [(0.01, False), (0.1, True)])
+def test_a_column_that_is_new_in_few_samples_is_doubted(
+    four_joints, quantity, word, length, is_late
+):
+    """Short ones are those of drivers at half the rate of the log."""
+    log = four_joints.log
+    every = round(length / (log.time[1] - log.time[0]))
+    values = getattr(log, quantity).copy()
+    values[:, 1] = values[::every, 1].repeat(every)[: len(values)]
+    wrong = replace(log, **{quantity: values})
+    found = [*rate_findings(four_joints.robot, [wrong])]
+    assert [each.level for each in found] == [Level.DOUBTS] * is_late
+    assert all(
+        f"the {word} of joint1 is new in every {every}." in f.text for f in found
+    )
 
 
 @given(st.integers(0, 2**32), st.floats(0.04, 0.2))
