@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -244,23 +245,12 @@ def of_rows_alone(recording: FilteredRecording) -> FilteredRecording:
 def one_after_another(recordings: Sequence[FilteredRecording]) -> FilteredRecording:
     """Return one recording of the rows of several, as from ``of_rows_alone``."""
     alone = [*map(of_rows_alone, recordings)]
-
-    def joined(values: Iterable[Array]) -> Array:
-        """Return the values of all recordings."""
-        return np.concatenate([*values])
-
-    return replace(
-        alone[0],
-        time=joined(each.time for each in alone),
-        q=joined(each.q for each in alone),
-        qd=joined(each.qd for each in alone),
-        qdd=joined(each.qdd for each in alone),
-        tau=joined(each.tau for each in alone),
-        bridged=joined(each.bridged for each in alone),
-        from_turn=joined(each.from_turn for each in alone),
-        chosen=joined(each.is_used for each in alone),
-        kept=KeptColumns({COULOMB.name: joined(map(directions, alone))}),
-    )
+    names = ("time", "q", "qd", "qdd", "tau", "bridged", "from_turn", "chosen")
+    series: dict[str, Any] = {
+        name: np.concatenate([getattr(each, name) for each in alone]) for name in names
+    }
+    dry = np.concatenate([*map(directions, alone)])
+    return replace(alone[0], kept=KeptColumns({COULOMB.name: dry}), **series)
 
 
 def recorded_torque(arm: ArmTerms) -> Term:

@@ -354,9 +354,11 @@ class ReadingSearch:
             return -np.inf, []
         counts = range(2, len(turned) + 1)
         ways = chain.from_iterable(combinations(turned, count) for count in counts)
-        tried = [[*way] for way in ways]
-        scored = zip(self.scores(tried, FINE_RESIDUAL), tried)
-        return max(scored, default=(-np.inf, []), key=lambda way: way[0])
+        together = [[*way] for way in ways]
+        if not together:
+            return -np.inf, []
+        scored = zip(self.scores(together, FINE_RESIDUAL), together)
+        return max(scored, key=lambda way: way[0])
 
     def best_together(
         self, tried: Sequence[Mistake], evidence: Evidence
