@@ -285,7 +285,7 @@ def held_samples(pieces: Sequence[Recording], quantity: str) -> NDArray[np.int64
     held = np.ones(len(columns[0]), dtype=np.int64)
     for joint, own in enumerate(zip(*columns)):
         values = np.unique(np.concatenate(own))
-        if len(values) < MANY_VALUES:
+        if len(values) < 2:
             continue
         changes = [*map(np.diff, own)]
         sizes = np.abs(np.concatenate(changes))
