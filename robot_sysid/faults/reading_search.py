@@ -333,14 +333,17 @@ class ReadingSearch:
 
     @property
     def shows_factor(self) -> bool:
-        """Whether a factor on the torque of one joint makes the log clearly likelier."""
+        """Whether a factor on the torque of one joint makes the log likelier.
+
+        Links and friction as they are in the model take up most of what the whole fit gains.
+        """
         n = self.arm.robot.n_joints
         ways = np.ones((2, len(self.moving), n))
         for way, factor in zip(ways, FACTORS):
             way[range(len(way)), self.moving] = factor
         readings = [*map(Reading.with_torque_times, ways.reshape(-1, n))]
         scores = self._scores.scores([Reading.of(n), *readings], FINE_RESIDUAL)
-        return max(scores[1:], default=-np.inf) > scores[0] + CLEAR
+        return max(scores[1:], default=-np.inf) > scores[0] + ALIKE
 
     def _best(self, tried: Sequence[Mistake]) -> tuple[float, Mistake]:
         """Return the mistake that alone fits best, the first of equal ones, after its score."""
