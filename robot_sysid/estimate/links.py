@@ -341,51 +341,34 @@ class LinkEvidence:
 
     def log_likelihood(self, scales: LinkScales) -> float:
         """Return log p(S) up to a constant."""
-        scale = deviations(self.stated, self.share, scales, self.common)
-        return self._log_likelihood_of(scale)
+        return float(self.log_likelihoods([scales])[0])
 
     def log_likelihoods(self, scales: Sequence[LinkScales]) -> Array:
         """Return the same (m,) of several scales, at once."""
         scale = np.array(
             [deviations(self.stated, self.share, each, self.common) for each in scales]
         )
+        gradient = scale * self.gradient
         count, size = scale.shape
+        # The root of a matrix with the gradient as one more row has L^-1 gradient in that row.
         bordered = np.zeros((count, size + 1, size + 1))
         np.multiply(self.curvature, scale[:, :, None], out=bordered[:, :-1, :-1])
         bordered[:, :-1, :-1] *= scale[:, None, :]
         bordered[:, range(size), range(size)] += 1.0
-        gradient = scale * self.gradient
         bordered[:, -1, :-1] = gradient
         bordered[:, -1, -1] = 1.0 + 2.0 * np.sum(gradient**2, axis=1)
         try:
-            roots = np.linalg.cholesky(bordered)
-        except np.linalg.LinAlgError:
-            return np.array([*map(self._log_likelihood_of, scale)])
-        halves = roots[:, -1, :-1]
-        diagonals = np.diagonal(roots, axis1=1, axis2=2)[:, :-1]
-        logs = np.sum(np.log(diagonals), axis=1)
-        return np.asarray(0.5 * np.sum(halves**2, axis=1) - logs)
-
-    def _log_likelihood_of(self, scale: Array) -> float:
-        """Return the log likelihood of deviations (10 L + 2,)."""
-        gradient = scale * self.gradient
-        matrix = scale[:, None] * self.curvature * scale
-        matrix.flat[:: len(scale) + 1] += 1.0
-        # The root of the matrix with the gradient as one more row has L^-1 gradient in that row.
-        bordered = np.zeros((len(scale) + 1, len(scale) + 1))
-        bordered[:-1, :-1] = matrix
-        bordered[-1] = np.append(gradient, 1.0 + 2.0 * gradient @ gradient)
-        try:
-            root = np.linalg.cholesky(bordered)
+            triangles = np.linalg.cholesky(bordered)
         except np.linalg.LinAlgError:
             # Rounding has made the curvature indefinite.
-            values, vectors = np.linalg.eigh(matrix)
+            values, vectors = np.linalg.eigh(bordered[:, :-1, :-1])
             roots = np.sqrt(np.maximum(values, 1.0))
-            half = (vectors.T @ gradient) / roots
+            halves = (gradient[:, None] @ vectors)[:, 0] / roots
         else:
-            roots = np.diag(root)[:-1]
-            half = root[-1, :-1]
-        return float(0.5 * half @ half - np.sum(np.log(roots)))
+            roots = np.diagonal(triangles, axis1=1, axis2=2)[:, :-1]
+            halves = triangles[:, -1, :-1]
+        logs = np.sum(np.log(roots), axis=1)
+        return np.asarray(0.5 * np.sum(halves**2, axis=1) - logs)
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:

@@ -31,7 +31,6 @@ from robot_sysid.faults.reading_search import (
     Correction,
     Evidence,
     ReadingSearch,
-    unit_correction,
 )
 from robot_sysid.faults.scales import ScaleCorrections, odd_unit
 from robot_sysid.faults.shares import shares_of
@@ -120,7 +119,7 @@ def class_findings(fitted: Fit, search: ReadingSearch) -> Iterator[Finding]:
     if shares.is_weight_alone and is_less:
         found.append(weight_alone())
     # Time that is too short hides inertia, all but for a part, and degrees hide weight.
-    if found and not any(unit_correction(search)):
+    if found and not search.unit_corrections:
         yield from found
 
 

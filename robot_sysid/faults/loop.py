@@ -34,7 +34,6 @@ from robot_sysid.faults.reading_search import (
     column_correction,
     exchange_correction,
     sign_correction,
-    unit_correction,
     zero_correction,
 )
 from robot_sysid.faults.scales import ScaleCorrections
@@ -172,7 +171,7 @@ def readings(
     In a log that fits, mistakes hide of which a single joint hardly makes torque, and those that
     links take up; all others leave torque that is not explained.
     """
-    tried = [*sign_correction(search, evidence), *unit_correction(search)]
+    tried = [*sign_correction(search, evidence), *search.unit_corrections]
     is_right = fits(fitted) and not any(map(is_like_gravity, state.joined))
     if search.shows_factor and scales.alone is not None:
         tried.append(scales.alone)

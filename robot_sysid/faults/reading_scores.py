@@ -243,14 +243,14 @@ def of_rows_alone(recording: FilteredRecording) -> FilteredRecording:
 
 
 def one_after_another(recordings: Sequence[FilteredRecording]) -> FilteredRecording:
-    """Return one recording of the rows of several, as from ``of_rows_alone``."""
-    alone = [*map(of_rows_alone, recordings)]
+    """Return one recording of several whose samples are their rows (``of_rows_alone``)."""
     names = ("time", "q", "qd", "qdd", "tau", "bridged", "from_turn", "chosen")
     series: dict[str, Any] = {
-        name: np.concatenate([getattr(each, name) for each in alone]) for name in names
+        name: np.concatenate([getattr(each, name) for each in recordings])
+        for name in names
     }
-    dry = np.concatenate([*map(directions, alone)])
-    return replace(alone[0], kept=KeptColumns({COULOMB.name: dry}), **series)
+    dry = np.concatenate([*map(directions, recordings)])
+    return replace(recordings[0], kept=KeptColumns({COULOMB.name: dry}), **series)
 
 
 def recorded_torque(arm: ArmTerms) -> Term:

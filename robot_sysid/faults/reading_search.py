@@ -345,6 +345,12 @@ class ReadingSearch:
         scores = self._scores.scores([Reading.of(n), *readings], FINE_RESIDUAL)
         return max(scores[1:], default=-np.inf) > scores[0] + ALIKE
 
+    @cached_property
+    def unit_corrections(self) -> list[Correction]:
+        """The corrections of units, gears or time, and of motors of two joints, if they gain."""
+        of_units = correction_of(self.fitted, self.other_units, 1)
+        return [*of_units, *correction_of(self.fitted, self.motors, 1)]
+
     def _best(self, tried: Sequence[Mistake]) -> tuple[float, Mistake]:
         """Return the mistake that alone fits best, the first of equal ones, after its score."""
         scores = self.scores([[each] for each in tried], FINE_RESIDUAL)
@@ -533,12 +539,6 @@ def zero_correction(search: ReadingSearch, evidence: Evidence) -> Iterator[Corre
     """
     evidence.advance()
     yield from correction_of(search.fitted, search.best_zero(), 1)
-
-
-def unit_correction(search: ReadingSearch) -> Iterator[Correction]:
-    """Yield the corrections of units, gears or time, and of motors of two joints, if they gain."""
-    yield from correction_of(search.fitted, search.other_units, 1)
-    yield from correction_of(search.fitted, search.motors, 1)
 
 
 def exchange_correction(
