@@ -173,7 +173,7 @@ def readings(
     """
     tried = [*sign_correction(search, evidence), *search.unit_corrections]
     is_right = fits(fitted) and not any(map(is_like_gravity, state.joined))
-    if search.shows_factor and scales.alone is not None:
+    if scales.alone is not None:
         tried.append(scales.alone)
     is_noted = all(score.level is Level.SAYS for score in state.joined)
     if not (is_right and is_noted):

@@ -111,8 +111,6 @@ tilt, or a fault of the torque [degrees]."""
 MOUNTING_TILT = 15.0
 """Tilt that is allowed about one of the 26 directions: they are at most some 27 degrees from the
 true one, usually half as much [degrees]."""
-FACTORS = (0.8, 1.25)
-"""Factors on one joint's torque that are tried: the one that is right is found from there."""
 OF_WRIST = 4
 """Last joints of which two may be exchanged, or turned by motors of both, in a log that fits."""
 GEAR_STEP = np.log(GEARS[-1] / GEARS[-2])
@@ -330,20 +328,6 @@ class ReadingSearch:
             return []
         most, best = self._best(tried)
         return [best] if most > self.score([], FINE_RESIDUAL) + CLEAR else []
-
-    @property
-    def shows_factor(self) -> bool:
-        """Whether a factor on the torque of one joint makes the log likelier.
-
-        Links and friction as they are in the model take up most of what the whole fit gains.
-        """
-        n = self.arm.robot.n_joints
-        ways = np.ones((2, len(self.moving), n))
-        for way, factor in zip(ways, FACTORS):
-            way[range(len(way)), self.moving] = factor
-        readings = [*map(Reading.with_torque_times, ways.reshape(-1, n))]
-        scores = self._scores.scores([Reading.of(n), *readings], FINE_RESIDUAL)
-        return max(scores[1:], default=-np.inf) > scores[0] + ALIKE
 
     @cached_property
     def unit_corrections(self) -> list[Correction]:

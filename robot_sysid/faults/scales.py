@@ -12,7 +12,7 @@ of the scales, with the links eliminated).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.estimate.fit import Fit, LeftOut, Problem
 from robot_sysid.estimate.links import EXPECTED
-from robot_sysid.estimate.offers import Effect
+from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
 from robot_sysid.faults import Finding
@@ -156,8 +156,7 @@ class TorqueScales:
     @property
     def are_sure(self) -> NDArray[np.bool_]:
         """Which scales (J,) are identified."""
-        is_other = np.abs(np.log(np.abs(self.values))) > SURE * self.errors
-        sure = self.is_settled & (is_other | (self.errors < SURE_SCALE))
+        sure = self.is_settled & are_identified(self.values, self.errors)
         # The torque of the last joint is that of the last link alone, which is not known.
         sure[-1] &= self.is_loaded[-1]
         return np.asarray(sure)
@@ -264,16 +263,44 @@ class TorqueScales:
         return np.asarray(np.sign(self.values) * own)
 
 
-def may_be_odd(fitted: Fit) -> bool:
-    """Return whether the links' weights let all torques be off by a factor (``agreed``).
+def are_identified(scales: Array, errors: Array) -> NDArray[np.bool_]:
+    """Return which of some torque scales (J,) with relative errors (J,) the log shows."""
+    is_other = np.abs(np.log(np.abs(scales))) > SURE * errors
+    return np.asarray(is_other | (errors < SURE_SCALE))
 
-    It is a matter of the fit as it is, and takes no time.
+
+def may_be_odd(fitted: Fit) -> bool:
+    """Return whether the links' weights, and the fit, let all torques be off by a factor.
+
+    It is a matter of the fit as it is, and takes no time: the weights may agree with a factor
+    (``agreed``), and so may one that is offered to the fit.
     """
     weights = np.log(weight_ratios(fitted))
     if not len(weights):
         return False
     is_more = float(np.min(weights)) + AGREEING >= np.log(NOTED)
-    return is_more or float(np.max(weights)) <= AGREEING
+    is_less = float(np.max(weights)) <= AGREEING
+    (common,) = offered_scales(fitted, [fitted.arm.terms[SCALES].names], COMMON_PRIOR)
+    return (is_more or is_less) and abs(float(common.values[0])) > AGREEING
+
+
+def may_be_alone(fitted: Fit) -> bool:
+    """Return whether a factor on the torque of one joint is clear in the fit as it is."""
+    each = [(name,) for name in fitted.arm.terms[SCALES].names]
+    offered = offered_scales(fitted, each, OWN_PRIOR)
+    return any(offer.distance >= SURE for offer in offered)
+
+
+def offered_scales(
+    fitted: Fit, scaled: Iterable[tuple[str, ...]], prior: float
+) -> list[Offer]:
+    """Return what a fit says of torque scales, each of one joint or of several in common.
+
+    They have a wide prior beside the narrow ones of the fit.
+    """
+    offers = Offers(fitted, fitted.weights)
+    effects = [Effect(names, np.full((len(names), 1), prior)) for names in scaled]
+    return [*map(offers.offer, effects)]
 
 
 def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
@@ -334,7 +361,10 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
         change = np.clip(1.0 + after.free[at], *STEP)
         scale = scale * change
         noise, links_noise = after.noise / change, links.noise / change
-        if np.max(np.abs(np.log(change))) < FOUND:
+        # Scales that are not identified change from round to round, and never end.
+        errors = np.sqrt(np.diag(after.inverse)[at])
+        is_sure = are_identified(scale, errors)
+        if np.max(np.abs(np.log(change)), where=is_sure, initial=0.0) < FOUND:
             break
     # Links that are off are the same in all blocks, and make most of the formal error; what blocks
     # say beyond that adds to it.
@@ -383,7 +413,8 @@ class ScaleCorrections:
     @cached_property
     def alone(self) -> Correction | None:
         """The correction of the torque of one joint, where it alone is off; else None."""
-        fitted, alone = self.fitted, self.scales.alone
+        fitted = self.fitted
+        alone = self.scales.alone if may_be_alone(fitted) else None
         if alone is None:
             return None
         joint, scale, error = alone
