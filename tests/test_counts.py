@@ -29,10 +29,10 @@ COUNTED = {
 """Names of functions, whichever module they are in, to what their calls are."""
 MODULES = "imported modules"
 BOUNDS = {
-    "log": (1, 9, 0, 82, 450),
-    "identify": (1, 12, 25, 82, 680),
-    "payload": (1, 13, 30, 82, 700),
-    "kuka": (1, 21, 20, 112, 680),
+    "log": (1, 5, 0, 80, 450),
+    "identify": (1, 8, 24, 80, 560),
+    "payload": (1, 9, 29, 80, 580),
+    "kuka": (1, 12, 19, 104, 560),
 }
 """Most calls of each command, in the order of ``COUNTED``, and most imported modules."""
 SLOW_TO_IMPORT = {

@@ -462,16 +462,13 @@ def computed_findings(fitted: Fit) -> Iterator[Finding]:
     the fit leaves less of it than any sensor has noise, so that its friction is a formula, too.
     """
     left, noise = fitted.residual_share, fast_noise(fitted)
-    share, error, distance = friction_share(fitted)
-    is_absent = abs(share) < SURE * error and distance < FRICTION_DEVIATIONS
-    # The friction of a real arm would show, behind its gears as well.
-    has_none = is_absent and error < LEAST_FRICTION / FRICTION_ERRORS
-    if has_none and left < LEAST_MEASURED and noise < SENSOR_NOISE:
+    most = most_friction(fitted)
+    if most is not None and left < LEAST_MEASURED and noise < SENSOR_NOISE:
         text = (
             "the torque follows rigid-body dynamics and has no friction (less than "
-            f"{percent(INTERVAL * error)} of the torque): it was computed, or commanded by a "
-            "controller whose drives add the friction themselves, not measured; an arm without "
-            "friction looks the same"
+            f"{percent(most)} of the torque): it was computed, or commanded by a controller whose "
+            "drives add the friction themselves, not measured; an arm without friction looks the "
+            "same"
         )
         of_model = model_misfit(fitted, terms_of(fitted.arm, PLAIN_FRICTION))
         if of_model < OWN_MODEL:
@@ -491,6 +488,18 @@ def computed_findings(fitted: Fit) -> Iterator[Finding]:
         )
 
 
+def most_friction(fitted: Fit) -> float | None:
+    """Return the most friction that a log without any may hide, as a share of all torque.
+
+    It is None where friction shows, or would not.
+    """
+    share, error, distance = friction_share(fitted)
+    is_absent = abs(share) < SURE * error and distance < FRICTION_DEVIATIONS
+    # The friction of a real arm would show, behind its gears as well.
+    is_shown = error < LEAST_FRICTION / FRICTION_ERRORS
+    return INTERVAL * error if is_absent and is_shown else None
+
+
 def fast_noise(fitted: Fit) -> float:
     """Return the noise of torques from sample to sample, as a share of all torque.
 
@@ -507,10 +516,10 @@ def fast_noise(fitted: Fit) -> float:
 
 
 def own_findings(fitted: Fit) -> Iterator[Finding]:
-    """Yield the finding that the torque is the model's own, its friction as well.
+    """Yield the finding that the torque is the model's own, its friction as well, or has none.
 
     Zeros are those of the arm that played the motion. An arm that is simulated with its model looks
-    the same, so that it is no doubt.
+    the same, and sensors behind the gears feel no friction, so that it is no doubt.
     """
     if fitted.question.loaded or fitted.question.differing is not None:
         return
@@ -524,4 +533,15 @@ def own_findings(fitted: Fit) -> Iterator[Finding]:
             "was simulated with the model, or computed by a controller that has it, and shows what "
             "the model says, not what the arm is",
             MEASURED,
+        )
+        return
+    most = most_friction(fitted)
+    if most is not None:
+        yield Finding(
+            Level.SAYS,
+            FaultName.COMPUTED,
+            f"the torque has no friction (less than {percent(most)} of it), and neither has what "
+            "is identified: sensors behind the gears feel none, and drives may take it off; the "
+            "motors have to overcome theirs beside it",
+            "for the friction of the motors, record their currents or torques",
         )

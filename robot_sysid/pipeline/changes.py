@@ -469,9 +469,16 @@ class _Sides:
         ]
 
     @cached_property
-    def weighed(self) -> dict[bool, tuple[Array, Array]]:
-        """Whether a body came on, to what ``weigh`` returned."""
-        return {}
+    def weighed_on(self) -> tuple[Array, Array]:
+        """A body that came on, by ``weigh``."""
+        assert self.weigh is not None
+        return self.weigh(self.fitted, True)
+
+    @cached_property
+    def weighed_off(self) -> tuple[Array, Array]:
+        """A body that came off, by ``weigh``."""
+        assert self.weigh is not None
+        return self.weigh(self.fitted, False)
 
     def fit_with(self, changed: Sequence[Candidate]) -> Fit:
         """Return the fit in which some things have changed, and all others are as usual."""
@@ -496,10 +503,9 @@ class _Sides:
         own = _Compared(fitted, candidate, usual, self.sure)
         if self.weigh is None or not (candidate.is_body and own.is_beyond):
             return own
-        is_on = bool(own.values[0] > 0.0)
-        if is_on not in self.weighed:
-            self.weighed[is_on] = self.weigh(self.fitted, is_on)
-        return own.beside(*self.weighed[is_on])
+        return own.beside(
+            *(self.weighed_on if own.values[0] > 0.0 else self.weighed_off)
+        )
 
 
 @dataclass(frozen=True)

@@ -135,6 +135,20 @@ def test_as_much_noise_makes_no_measured_torque_a_computed_one(four_joints):
     assert FaultName.COMPUTED not in [each.about for each in found]
 
 
+@pytest.mark.parametrize(("friction", "named"), [(0.0, 1), (0.1, 0)])
+def test_noise_of_a_sensor_without_friction_is_no_doubt_and_has_a_word(
+    four_joints, friction, named
+):
+    """Sensors behind the gears feel no friction; a file without it needs to say so."""
+    tau = friction * four_joints.friction + four_joints.rigid
+    noise = 0.02 * np.sqrt(np.mean(tau**2, axis=0))
+    tau = tau + noise * np.random.default_rng(3).standard_normal(tau.shape)
+    found = found_in(four_joints, tau=tau)
+    assert [(each.about, each.level) for each in found] == named * [
+        (FaultName.COMPUTED, Level.SAYS)
+    ]
+
+
 def test_what_shares_have_in_common_is_that_without_what_a_last_link_changes():
     """A last link raises one joint's share, lowers another's, and so says what both are."""
     apart = np.array([1.0, -4.0])
