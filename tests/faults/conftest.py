@@ -10,10 +10,13 @@ import pytest
 from rigs.arms import small_arms
 from rigs.arms.wrong_arms import truth_of
 from rigs.logs.log_files import motion
+from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
+from robot_sysid.faults.columns import fault_columns
 from robot_sysid.faults.gate import judge
 from robot_sysid.records.messages import Progress
+from robot_sysid.signals.process import low_pass_recordings
 
 FOUR_AXES = (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X)
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
@@ -56,6 +59,20 @@ def findings_of(robot, *samples, **options):
 def found_in(truth, **samples):
     """Return what is wrong with a log of a truth, some of whose samples are others."""
     return findings_of(truth.robot, replace(truth.log, **samples))
+
+
+def fit_of(truth, **samples):
+    """Return the fit of a log of a truth, some of whose samples are others, for all causes."""
+    logs = [replace(truth.log, name="log", **samples)]
+    recordings, _ = low_pass_recordings(truth.robot, logs, None)
+    question = Question(EstimationOptions())
+    return solve_question(truth.robot, recordings, question, beside=fault_columns)
+
+
+@pytest.fixture(scope="session")
+def right(four_joints):
+    """Return the fit of a right log, with the columns of all causes."""
+    return fit_of(four_joints)
 
 
 @pytest.fixture(scope="session")

@@ -8,32 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.faults.columns import fault_columns
 from robot_sysid.faults.plausibility import structural
 from robot_sysid.faults.reading_search import ReadingSearch, gain_between, is_own
 from robot_sysid.faults.readings import Mistake, Reading, gear_of, turned_signs
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level
-from robot_sysid.signals.process import low_pass_recordings
-from tests.faults.conftest import found_in
+from tests.faults.conftest import fit_of, found_in
 
 QUESTION = Question(EstimationOptions())
-
-
-def fit_of(truth, tau):
-    """Return the fit of a log of a truth with other torques."""
-    logs = [replace(truth.log, tau=tau, name="log")]
-    recordings, _ = low_pass_recordings(truth.robot, logs)
-    return solve_question(truth.robot, recordings, QUESTION, beside=fault_columns)
-
-
-@pytest.fixture(scope="module")
-def right(four_joints):
-    """Return the fit of a right log."""
-    return fit_of(four_joints, four_joints.log.tau)
 
 
 def sign_of(robot, joint):
@@ -73,7 +57,7 @@ def test_what_is_less_than_friction_leaves_blames_no_joint(right):
 
 @pytest.mark.parametrize("factor", [1e-3, 7.0])
 def test_what_friction_leaves_is_in_the_unit_of_the_torque(four_joints, right, factor):
-    scaled = fit_of(four_joints, factor * four_joints.log.tau)
+    scaled = fit_of(four_joints, tau=factor * four_joints.log.tau)
     np.testing.assert_allclose(structural(scaled), factor * structural(right), rtol=0.2)
 
 

@@ -10,11 +10,17 @@ import pytest
 
 from rigs.arms.small_arms import robot_of, serial_arm
 from robot_sysid.faults.reading_search import Evidence
-from robot_sysid.faults.scales import TorqueScales, common_finding
+from robot_sysid.faults.scales import (
+    TorqueScales,
+    common_finding,
+    may_be_alone,
+    may_be_odd,
+    torque_scales,
+)
 from robot_sysid.records import KINDS
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import parse_factors
-from tests.faults.conftest import FOUR_AXES, JOINT, findings_of, found_in
+from tests.faults.conftest import FOUR_AXES, JOINT, findings_of, fit_of, found_in
 
 
 def scales_of(factor, weights):
@@ -53,6 +59,23 @@ def test_a_factor_is_none_where_not_all_agree(factor, weights):
 def test_a_tool_hides_a_factor_below_one_from_weights_alone():
     assert scales_of(0.65, [1.0, 0.95]).is_odd
     assert not scales_of(1.0 / 0.65, [1.0, 1.0 / 0.95]).is_odd
+
+
+def test_no_scale_is_searched_in_a_right_log(right):
+    assert not may_be_alone(right) and not may_be_odd(right)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+@pytest.mark.parametrize("joint", [1, 2])
+def test_the_scale_of_one_joint_is_searched_where_there_is_one(
+    four_joints, joint, factor
+):
+    """What the fit offers opens the search, which finds the joint."""
+    factors = np.where(np.arange(4) == joint, factor, 1.0)
+    fitted = fit_of(four_joints, tau=factors * four_joints.log.tau)
+    alone = torque_scales(fitted).alone
+    assert may_be_alone(fitted) and alone is not None
+    assert alone[0] == joint and abs(alone[1] / factor - 1.0) < 0.2
 
 
 @pytest.mark.slow

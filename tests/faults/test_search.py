@@ -8,27 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
-from robot_sysid.faults.columns import fault_columns
 from robot_sysid.faults.plausibility import is_plausible
 from robot_sysid.faults.table import explanations
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR
-from robot_sysid.signals.process import low_pass_recordings
 from tests.faults.conftest import findings_of, found_in, judged
 
 QUESTION = Question(EstimationOptions())
-
-
-@pytest.fixture(scope="module")
-def right(four_joints):
-    """Return the fit of a right log, with the columns of all causes."""
-    logs = [replace(four_joints.log, name="log")]
-    recordings, _ = low_pass_recordings(four_joints.robot, logs)
-    return solve_question(four_joints.robot, recordings, QUESTION, beside=fault_columns)
 
 
 def test_a_right_log_is_used_whole_and_has_no_explanation(four_joints):

@@ -10,28 +10,21 @@ import pytest
 from rigs.arms.synthetic_data import autocorrelated
 from rigs.arms.wrong_arms import MEMORY, link_torque
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.faults.columns import fault_columns
 from robot_sysid.faults.gate import judge
 from robot_sysid.faults.shares import common_share, shares_of
 from robot_sysid.records.arm import KINDS
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress
-from robot_sysid.signals.process import low_pass_recordings
-from tests.faults.conftest import found_in, read_log
+from tests.faults.conftest import fit_of, found_in, read_log
 
 QUESTION = Question(EstimationOptions())
 
 
 def shares(truth, tau):
     """Return the shares of torques (N, 4) in the motion of a truth."""
-    recordings, _ = low_pass_recordings(
-        truth.robot, [replace(truth.log, tau=tau)], None
-    )
-    fitted = solve_question(truth.robot, recordings, QUESTION, beside=fault_columns)
-    return shares_of(fitted)
+    return shares_of(fit_of(truth, tau=tau))
 
 
 def external(truth, times):
