@@ -429,9 +429,9 @@ def rows_of_ablations(
     """Yield what changes without each thing, in the logs that were judged."""
     for ablation in chosen:
         counts: dict[str, Counter[str]] = {table: Counter() for table in TABLES}
-        noticed = 0
+        tried = dict.fromkeys(TABLES, 0)
         for row in judged:
-            noticed += ablation.key in row["noticed"]
+            tried[row["table"]] += ablation.key in row["noticed"]
             other = row["changed"].get(ablation.key)
             if other is not None:
                 before = row["outcome"][0]
@@ -441,7 +441,8 @@ def rows_of_ablations(
         yield {
             "place": place_of(ablation),
             "ablation": vars(ablation),
-            "noticed": noticed,
+            "tried": tried,
+            "noticed": sum(tried.values()),
             "counts": counts,
         }
 
@@ -547,6 +548,11 @@ def page_lines(
     for (place, what), rows in idle.items():
         ways = ", ".join(row["ablation"]["way"] for row in rows)
         yield f"| {place} | {what} | {ways} | {max(row['noticed'] for row in rows)} |"
+    yield from lines_of_others(busy, is_notice)
+
+
+def lines_of_others(busy: Sequence[Row], is_notice: bool) -> Iterator[str]:
+    """Yield the lines of what makes a difference, of each module and one by one."""
     yield ""
     yield "## The others"
     yield ""
@@ -559,6 +565,17 @@ def page_lines(
         worse, better = map(sum, zip(*map(gain_of, own)))
         name = module.rpartition(".")[2]
         yield f"| {name}.py | {len(own)} | {once} | {worse} | {better} |"
+    yield ""
+    yield "In how many logs each makes a difference to a condition, and what changes then:"
+    yield ""
+    yield f"| where | what | taken out | {' | '.join(TABLES)} | changes |"
+    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    for row in busy:
+        what = f"`{escaped(row['ablation']['what'])}`"
+        numbers = " | ".join(str(row["tried"][table]) for table in TABLES)
+        changes = "not tried" if is_notice else change_text(row)
+        way = row["ablation"]["way"]
+        yield f"| {row['place']} | {what} | {way} | {numbers} | {changes} |"
 
 
 def main() -> int:
@@ -595,7 +612,7 @@ def main() -> int:
     keys = {ablation.key for ablation in chosen}
     print(f"{len(chosen)} things to take out", flush=True)
     kept = RowFile(options.rows)
-    judged = []
+    judged: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         for key, make in makers_of(options, Path(name)):
             if key not in kept:
