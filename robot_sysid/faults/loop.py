@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TypeVar
 
+from robot_sysid.estimate.choose import odd_link
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect
@@ -200,8 +201,10 @@ def is_likely(tried: Correction, fitted: Fit) -> bool:
     is_less = after < CLEARLY_LESS * before or after < LITTLE
     is_turned_back = drives(fitted) and not drives(tried.fit)
     is_clear = tried.gain > CLEAR and (is_less or is_turned_back)
-    # Links fit torques in another unit, if they may be off by as much.
-    is_right = is_clear or is_foreign(fitted)
+    # Links fit torques in another unit, if they may be off by as much; one that is wrong makes them
+    # look so, and fits better.
+    is_unit = is_foreign(fitted) and (tried.gain > 0.0 or odd_link(fitted) is None)
+    is_right = is_clear or is_unit
     # Columns of another arm's log fit its model no better in any order.
     is_other = is_sibling(tried.fit) and after > OTHER_ARM
     return is_right and is_plausible(tried.fit) and not is_other
