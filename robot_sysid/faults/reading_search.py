@@ -359,9 +359,9 @@ class ReadingSearch:
         """Return the mistakes that fit best together, one after the other; [] for none."""
         before = self.score([])
         pairs = [*self._pairs(tried)]
-        firsts = self._longer([], [*tried, *pairs])
-        are_pairs = {*map(id, pairs)}
-        likely = [way[0] for _, way in firsts if id(way[0]) not in are_pairs][:LIKELY]
+        both = {id(pair): singles for pair, singles in pairs}
+        firsts = self._longer([], [*tried, *(pair for pair, _ in pairs)])
+        likely = [way[0] for _, way in firsts if id(way[0]) not in both][:LIKELY]
         least = before + max(CLEAR, LEAST_OF_FIRST * (firsts[0][0] - before))
         ways = []
         for score, found in firsts[:FOLLOWED]:
@@ -375,16 +375,24 @@ class ReadingSearch:
             if score > least:
                 ways.append((score, found))
         likeliest = max(ways, default=(0.0,), key=lambda way: way[0])[0]
-        return next((found for score, found in ways if score > likeliest - ALIKE), [])
+        best = next((found for score, found in ways if score > likeliest - ALIKE), [])
+        # The whole log may be right with the likelier one alone.
+        return [*chain(*(both.get(id(each), [each]) for each in best))]
 
-    def _pairs(self, tried: Sequence[Mistake]) -> Iterator[Mistake]:
-        """Yield pairs of zeros: beside another wrong one, one alone may fit worse than none."""
+    def _pairs(
+        self, tried: Sequence[Mistake]
+    ) -> Iterator[tuple[Mistake, list[Mistake]]]:
+        """Yield pairs of zeros, each with the two, the likelier first.
+
+        Beside another wrong one, one alone may fit worse than none.
+        """
         turned = [each for each in tried if np.any(each.reading.zeros[self.shown])]
-        for both in combinations(turned, 2):
+        firsts = self._longer([], turned) if turned else []
+        for both in combinations([way[0] for _, way in firsts], 2):
             reading = Reading.of(self.arm.robot.n_joints, both)
             # Two of one joint are a third one, or none.
             if np.count_nonzero(reading.zeros) == 2:
-                yield Mistake(FaultName.ZERO, "", reading)
+                yield Mistake(FaultName.ZERO, "", reading), [*both]
 
     @cached_property
     def shown(self) -> list[int]:
@@ -557,8 +565,9 @@ def correction_of(
 ) -> Iterator[Correction]:
     """Yield the correction of the first ones of some mistakes, where the log is right with them.
 
-    They are as few as the whole log fits with, the ``fewest`` at least; all where none are enough.
-    A log is solved whole where one pass over its rows gains, in those of the joints that are
+    They are as few as the whole log fits with, the ``fewest`` at least, and one more where that
+    leaves less than half of what is unexplained; all where none are enough. A log is solved whole
+    where one pass over its rows gains, in those of the joints that are
     blamed, and leaves no more than ``most_left`` of what is unexplained without it.
     """
     robot = fitted.arm.robot
@@ -582,7 +591,12 @@ def correction_of(
             findings += timed
         else:
             after = refit(fitted, reading)
-        if findings and (fits(after) or number == len(found)):
+        is_last = number == len(found)
+        if findings and (is_last or fits(after)):
+            more = Reading.of(robot.n_joints, found[: number + 1])
+            most = HALF * once.unexplained_share
+            if not is_last and read_once(fitted, more).unexplained_share < most:
+                continue
             gain = gain_between(fitted, after, reading)
             own = reading.blamed[fitted.arm.indices]
             is_little = np.all((after.unexplained < MORE * structural(after))[own])
