@@ -94,8 +94,12 @@ class State:
 
     @property
     def explains(self) -> bool:
-        """Whether no more is left unexplained than right logs leave, also where it is blamed."""
-        return self.is_little and self.reading.explains
+        """Whether no more is left unexplained than right logs leave, also where it is blamed.
+
+        Friction that drives a joint is none.
+        """
+        is_possible = self.reading.explains and not drives(self.current)
+        return self.is_little and is_possible
 
     @property
     def is_little(self) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from robot_sysid.faults.loop import State
 from robot_sysid.faults.plausibility import (
     PLAIN_FRICTION,
     SMALLER,
+    driven,
     friction_share,
     is_plausible,
     is_sibling,
@@ -360,6 +362,12 @@ def misfit(fitted: Fit, least: float) -> Finding:
     texts = [
         f"the torques do not fit this model: {percent(share)} unexplained, mostly at {listed}"
     ]
+    names = ", ".join(compress(joints, driven(fitted)))
+    if names:
+        texts.append(
+            f"friction would drive {names}, as where drives add more than it takes, or where a "
+            "torque has the wrong sign"
+        )
     if least < share:
         texts.append(f"the nearest single cause leaves {percent(least)}")
     texts += [missing_torque(fitted, joint) for joint in worst]

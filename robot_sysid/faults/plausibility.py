@@ -24,7 +24,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.faults.columns import INERTIAL, WEIGHT
 from robot_sysid.records import Array
-from robot_sysid.records.levels import ALARMING, SURE
+from robot_sysid.records.levels import ALARMING
 from robot_sysid.records.usual_errors import (
     LEFT_OF_ALL,
     LEFT_OF_FRICTION,
@@ -225,10 +225,15 @@ def fits(fitted: Fit) -> bool:
     )
 
 
+def driven(fitted: Fit) -> NDArray[np.bool_]:
+    """Return which joints (J,) friction drives, which real friction never does."""
+    dry, error = dry_friction(fitted)
+    return np.asarray(dry < -ALARMING * error)
+
+
 def drives(fitted: Fit) -> bool:
     """Return whether friction drives a joint: a turned sign, whatever the model."""
-    dry, error = dry_friction(fitted)
-    return bool(np.any(dry < -SURE * error))
+    return bool(np.any(driven(fitted)))
 
 
 def last_mass(fitted: Fit) -> tuple[float, float]:

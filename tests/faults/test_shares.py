@@ -142,6 +142,16 @@ def test_noise_of_a_sensor_without_friction_is_no_doubt_and_has_a_word(
     ]
 
 
+@pytest.mark.parametrize("times", [-0.3, -0.7])
+def test_friction_that_drives_is_never_usable(four_joints, times):
+    """Drives that add more than friction takes leave a log that any other cause explains."""
+    tau = four_joints.rigid + times * four_joints.friction
+    tau = tau + 0.01 * np.random.default_rng(5).standard_normal(tau.shape)
+    found = found_in(four_joints, tau=tau)
+    assert [each.level for each in found] == [Level.DOUBTS]
+    assert "friction would drive joint" in found[0].text
+
+
 def test_what_shares_have_in_common_is_that_without_what_a_last_link_changes():
     """A last link raises one joint's share, lowers another's, and so says what both are."""
     apart = np.array([1.0, -4.0])
