@@ -281,7 +281,8 @@ def may_be_odd(fitted: Fit) -> bool:
     is_more = float(np.min(weights)) + AGREEING >= np.log(NOTED)
     is_less = float(np.max(weights)) <= AGREEING
     (common,) = offered_scales(fitted, [fitted.arm.terms[SCALES].names], COMMON_PRIOR)
-    return (is_more or is_less) and abs(float(common.values[0])) > AGREEING
+    change = float(common.values[0])
+    return (is_more and change > AGREEING) or (is_less and change < -AGREEING)
 
 
 def may_be_alone(fitted: Fit) -> bool:
