@@ -30,9 +30,9 @@ COUNTED = {
 MODULES = "imported modules"
 BOUNDS = {
     "log": (1, 5, 0, 80, 450),
-    "identify": (1, 8, 24, 80, 560),
-    "payload": (1, 9, 29, 80, 580),
-    "kuka": (1, 12, 19, 104, 560),
+    "identify": (1, 8, 24, 80, 620),
+    "payload": (1, 9, 29, 80, 640),
+    "kuka": (1, 12, 19, 104, 620),
 }
 """Most calls of each command, in the order of ``COUNTED``, and most imported modules."""
 SLOW_TO_IMPORT = {
