@@ -168,7 +168,7 @@ def test_the_order_of_a_payload_has_a_letter_for_each_log_not_for_each_file(comm
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("relative_error", "found"), [(0.2, []), (0.005, [("torque-scale", "doubts")])]
+    ("relative_error", "found"), [(0.2, []), (0.005, [("torque-scale", "says")])]
 )
 def test_a_file_of_scales_says_how_sure_they_are(
     folder, command, truth, relative_error, found
@@ -183,7 +183,7 @@ def test_a_file_of_scales_says_how_sure_they_are(
         return [(each["about"], each["level"]) for each in answer["findings"]]
 
     assert findings("scale.json") == found
-    assert findings("1") == [("torque-scale", "doubts")]
+    assert findings("1") == [("torque-scale", "says")]
 
 
 @pytest.mark.slow
