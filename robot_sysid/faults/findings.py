@@ -20,6 +20,7 @@ from robot_sysid.faults.misfits import (
     external_findings,
     misfit,
     model_findings,
+    most_friction,
     own_findings,
     time_findings,
     weight_alone,
@@ -61,9 +62,10 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
         evidence: what is known beside its rows.
     """
     search = ReadingSearch(fitted)
+    friction = most_friction(fitted)
     found = [
         *class_findings(fitted, search),
-        *computed_findings(fitted),
+        *computed_findings(fitted, friction),
         *time_findings(fitted, evidence),
     ]
     if found:
@@ -104,7 +106,7 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
     answer = answer_of(right)
     if right is not fitted:
         scales = ScaleCorrections(right, evidence)
-    named += [*model_findings(state, scales, answer), *own_findings(right)]
+    named += [*model_findings(state, scales, answer), *own_findings(right, friction)]
     return Found(named, right, answer if right is fitted else None)
 
 
@@ -130,4 +132,8 @@ def unexplained_findings(fitted: Fit, state: State) -> list[Finding]:
     """
     named = [*state.reading.findings]
     is_sign = {each.about for each in named} == {FaultName.SIGN}
-    return named if is_sign and drives(fitted) else [misfit(fitted, state.least)]
+    return (
+        named
+        if is_sign and drives(fitted)
+        else [misfit(fitted, state.current, state.least)]
+    )

@@ -96,10 +96,9 @@ class State:
     def explains(self) -> bool:
         """Whether no more is left unexplained than right logs leave, also where it is blamed.
 
-        Friction that drives a joint is none.
+        A fit in which friction drives a joint explains nothing, however little it leaves.
         """
-        is_possible = self.reading.explains and not drives(self.current)
-        return self.is_little and is_possible
+        return self.is_little and self.reading.explains and not drives(self.current)
 
     @property
     def is_little(self) -> bool:

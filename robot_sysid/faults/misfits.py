@@ -45,7 +45,7 @@ from robot_sysid.faults.plausibility import (
     typical_torque,
 )
 from robot_sysid.faults.reading_search import Evidence
-from robot_sysid.faults.scales import ScaleCorrections, little_weight, may_be_odd
+from robot_sysid.faults.scales import ScaleCorrections, little_weight
 from robot_sysid.faults.shares import LOST, Shares
 from robot_sysid.faults.table import TIME, WHOLE_CLOCK, at_inertia
 from robot_sysid.records import Array
@@ -223,7 +223,7 @@ def model_findings(
     zeros = [] if state.joined else [*odd_zeros(answer)]
     wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
     wrong += wrong_centre(answer)
-    is_odd = may_be_odd(fitted) and scales.scales.is_odd
+    is_odd = scales.may_be_odd and scales.scales.is_odd
     # Scales follow whatever else is left over.
     is_odd = is_odd and scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
@@ -347,11 +347,12 @@ def wrong_centre(answer: Fit) -> Iterator[Finding]:
     )
 
 
-def misfit(fitted: Fit, least: float) -> Finding:
+def misfit(fitted: Fit, current: Fit, least: float) -> Finding:
     """Return the finding that a log does not fit its model, and what is missing at which joints.
 
     Args:
-        fitted: the fit of the log.
+        fitted: the fit of the log as it came.
+        current: the fit with all that was found.
         least: what the nearest single fault leaves unexplained, as a share of all torque.
     """
     joints = fitted.arm.joints
@@ -362,7 +363,7 @@ def misfit(fitted: Fit, least: float) -> Finding:
     texts = [
         f"the torques do not fit this model: {percent(share)} unexplained, mostly at {listed}"
     ]
-    names = ", ".join(compress(joints, driven(fitted)))
+    names = ", ".join(compress(joints, driven(current)))
     if names:
         texts.append(
             f"friction would drive {names}, as where drives add more than it takes, or where a "
@@ -463,14 +464,17 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
         )
 
 
-def computed_findings(fitted: Fit) -> Iterator[Finding]:
+def computed_findings(fitted: Fit, most: float | None) -> Iterator[Finding]:
     """Yield the finding that the torque was computed or commanded, and not measured.
 
     It has no friction, and less noise than a sensor behind the gears, which sees none either; or
     the fit leaves less of it than any sensor has noise, so that its friction is a formula, too.
+
+    Args:
+        fitted: the fit of the log.
+        most: friction that it may hide, as from ``most_friction``.
     """
     left, noise = fitted.residual_share, fast_noise(fitted)
-    most = most_friction(fitted)
     if most is not None and left < LEAST_MEASURED and noise < SENSOR_NOISE:
         text = (
             "the torque follows rigid-body dynamics and has no friction (less than "
@@ -523,11 +527,15 @@ def fast_noise(fitted: Fit) -> float:
     return float(np.sqrt(left / max(total, 1e-300)))
 
 
-def own_findings(fitted: Fit) -> Iterator[Finding]:
+def own_findings(fitted: Fit, most: float | None) -> Iterator[Finding]:
     """Yield the finding that the torque is the model's own, its friction as well, or has none.
 
     Zeros are those of the arm that played the motion. An arm that is simulated with its model looks
     the same, and sensors behind the gears feel no friction, so that it is no doubt.
+
+    Args:
+        fitted: the fit of the log that is right.
+        most: friction that it may hide, as from ``most_friction``.
     """
     if fitted.question.loaded or fitted.question.differing is not None:
         return
@@ -542,9 +550,7 @@ def own_findings(fitted: Fit) -> Iterator[Finding]:
             "the model says, not what the arm is",
             MEASURED,
         )
-        return
-    most = most_friction(fitted)
-    if most is not None:
+    elif most is not None:
         yield Finding(
             Level.SAYS,
             FaultName.COMPUTED,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import chain, combinations, compress
 from typing import Any
 
@@ -359,9 +359,9 @@ class ReadingSearch:
         """Return the mistakes that fit best together, one after the other; [] for none."""
         before = self.score([])
         pairs = [*self._pairs(tried)]
-        both = {id(pair): singles for pair, singles in pairs}
+        singles_of = {id(pair): singles for pair, singles in pairs}
         firsts = self._longer([], [*tried, *(pair for pair, _ in pairs)])
-        likely = [way[0] for _, way in firsts if id(way[0]) not in both][:LIKELY]
+        likely = [way[0] for _, way in firsts if id(way[0]) not in singles_of][:LIKELY]
         least = before + max(CLEAR, LEAST_OF_FIRST * (firsts[0][0] - before))
         ways = []
         for score, found in firsts[:FOLLOWED]:
@@ -377,7 +377,7 @@ class ReadingSearch:
         likeliest = max(ways, default=(0.0,), key=lambda way: way[0])[0]
         best = next((found for score, found in ways if score > likeliest - ALIKE), [])
         # The whole log may be right with the likelier one alone.
-        return [*chain(*(both.get(id(each), [each]) for each in best))]
+        return [*chain(*(singles_of.get(id(each), [each]) for each in best))]
 
     def _pairs(
         self, tried: Sequence[Mistake]
@@ -567,13 +567,19 @@ def correction_of(
 
     They are as few as the whole log fits with, the ``fewest`` at least, and one more where that
     leaves less than half of what is unexplained; all where none are enough. A log is solved whole
-    where one pass over its rows gains, in those of the joints that are
-    blamed, and leaves no more than ``most_left`` of what is unexplained without it.
+    where one pass over its rows gains, in those of the joints that are blamed, and leaves no more
+    than ``most_left`` of what is unexplained without it.
     """
     robot = fitted.arm.robot
-    for number in range(max(fewest, 1), len(found) + 1):
+
+    @cache
+    def first(number: int) -> tuple[Reading, Fit]:
+        """Return the reading without so many mistakes, and its fit by one pass."""
         reading = Reading.of(robot.n_joints, found[:number])
-        once = read_once(fitted, reading)
+        return reading, read_once(fitted, reading)
+
+    for number in range(max(fewest, 1), len(found) + 1):
+        reading, once = first(number)
         gain = gain_between(fitted, once, reading)
         left = once.unexplained_share / max(fitted.unexplained_share, 1e-300)
         if gain < 0.0 or left > most_left or not is_own(fitted, once, reading):
@@ -593,9 +599,8 @@ def correction_of(
             after = refit(fitted, reading)
         is_last = number == len(found)
         if findings and (is_last or fits(after)):
-            more = Reading.of(robot.n_joints, found[: number + 1])
-            most = HALF * once.unexplained_share
-            if not is_last and read_once(fitted, more).unexplained_share < most:
+            half = HALF * once.unexplained_share
+            if not is_last and first(number + 1)[1].unexplained_share < half:
                 continue
             gain = gain_between(fitted, after, reading)
             own = reading.blamed[fitted.arm.indices]

@@ -12,7 +12,7 @@ of the scales, with the links eliminated).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -269,41 +269,6 @@ def are_identified(scales: Array, errors: Array) -> NDArray[np.bool_]:
     return np.asarray(is_other | (errors < SURE_SCALE))
 
 
-def may_be_odd(fitted: Fit) -> bool:
-    """Return whether the links' weights, and the fit, let all torques be off by a factor.
-
-    It is a matter of the fit as it is, and takes no time: the weights may agree with a factor
-    (``agreed``), and so may one that is offered to the fit.
-    """
-    weights = np.log(weight_ratios(fitted))
-    if not len(weights):
-        return False
-    is_more = float(np.min(weights)) + AGREEING >= np.log(NOTED)
-    is_less = float(np.max(weights)) <= AGREEING
-    (common,) = offered_scales(fitted, [fitted.arm.terms[SCALES].names], COMMON_PRIOR)
-    change = float(common.values[0])
-    return (is_more and change > AGREEING) or (is_less and change < -AGREEING)
-
-
-def may_be_alone(fitted: Fit) -> bool:
-    """Return whether a factor on the torque of one joint is clear in the fit as it is."""
-    each = [(name,) for name in fitted.arm.terms[SCALES].names]
-    offered = offered_scales(fitted, each, OWN_PRIOR)
-    return any(offer.distance >= SURE for offer in offered)
-
-
-def offered_scales(
-    fitted: Fit, scaled: Iterable[tuple[str, ...]], prior: float
-) -> list[Offer]:
-    """Return what a fit says of torque scales, each of one joint or of several in common.
-
-    They have a wide prior beside the narrow ones of the fit.
-    """
-    offers = Offers(fitted, fitted.weights)
-    effects = [Effect(names, np.full((len(names), 1), prior)) for names in scaled]
-    return [*map(offers.offer, effects)]
-
-
 def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
     """Return how many times the model's the torques of a log are.
 
@@ -398,6 +363,39 @@ class ScaleCorrections:
         return torque_scales(self.fitted)
 
     @cached_property
+    def _offers(self) -> Offers:
+        """The fit as it is, which takes no time beside finding the scales."""
+        return Offers(self.fitted, self.fitted.weights)
+
+    def _offer(self, scaled: tuple[str, ...], prior: float) -> Offer:
+        """Return what the fit says of one scale of some joints, by the names of theirs.
+
+        It has a wide prior beside the narrow ones of the fit.
+        """
+        return self._offers.offer(Effect(scaled, np.full((len(scaled), 1), prior)))
+
+    @property
+    def may_be_odd(self) -> bool:
+        """Whether the links' weights, and the fit, let all torques be off by a factor.
+
+        The weights may agree with one (``TorqueScales.agreed``), and so may what the fit says.
+        """
+        weights = np.log(weight_ratios(self.fitted))
+        if not len(weights):
+            return False
+        is_more = float(np.min(weights)) + AGREEING >= np.log(NOTED)
+        is_less = float(np.max(weights)) <= AGREEING
+        common = self._offer(self.fitted.arm.terms[SCALES].names, COMMON_PRIOR)
+        change = float(common.values[0])
+        return (is_more and change > AGREEING) or (is_less and change < -AGREEING)
+
+    @property
+    def may_be_alone(self) -> bool:
+        """Whether a factor on the torque of one joint is clear in the fit as it is."""
+        names = self.fitted.arm.terms[SCALES].names
+        return any(self._offer((name,), OWN_PRIOR).distance >= SURE for name in names)
+
+    @cached_property
     def common(self) -> Correction:
         """The correction of torques by one scale, which masses that are off make as well."""
         fitted = self.fitted
@@ -415,7 +413,7 @@ class ScaleCorrections:
     def alone(self) -> Correction | None:
         """The correction of the torque of one joint, where it alone is off; else None."""
         fitted = self.fitted
-        alone = self.scales.alone if may_be_alone(fitted) else None
+        alone = self.scales.alone if self.may_be_alone else None
         if alone is None:
             return None
         joint, scale, error = alone

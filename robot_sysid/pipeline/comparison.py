@@ -226,7 +226,7 @@ def compare_with_model(
         replace(row, reason=UNKNOWN) if row.reason == DIFFERS else row for row in rows
     )
     if not found:
-        found = [misfit(judged.fit, judged.fit.unexplained_share)]
+        found = [misfit(judged.fit, judged.fit, judged.fit.unexplained_share)]
     remedies = dict.fromkeys(each.remedy for each in found if each.remedy)
     verdict = (
         f"Differs from the model: {'; '.join(each.text for each in found)}",

@@ -10,17 +10,13 @@ import pytest
 
 from rigs.arms.small_arms import robot_of, serial_arm
 from robot_sysid.faults.reading_search import Evidence
-from robot_sysid.faults.scales import (
-    TorqueScales,
-    common_finding,
-    may_be_alone,
-    may_be_odd,
-    torque_scales,
-)
+from robot_sysid.faults.scales import ScaleCorrections, TorqueScales, common_finding
 from robot_sysid.records import KINDS
 from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import parse_factors
 from tests.faults.conftest import FOUR_AXES, JOINT, findings_of, fit_of, found_in
+
+EVIDENCE = Evidence(np.ones(4), None, lambda: None)
 
 
 def scales_of(factor, weights):
@@ -62,7 +58,8 @@ def test_a_tool_hides_a_factor_below_one_from_weights_alone():
 
 
 def test_no_scale_is_searched_in_a_right_log(right):
-    assert not may_be_alone(right) and not may_be_odd(right)
+    scales = ScaleCorrections(right, EVIDENCE)
+    assert not scales.may_be_alone and not scales.may_be_odd
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.4])
@@ -73,8 +70,9 @@ def test_the_scale_of_one_joint_is_searched_where_there_is_one(
     """What the fit offers opens the search, which finds the joint."""
     factors = np.where(np.arange(4) == joint, factor, 1.0)
     fitted = fit_of(four_joints, tau=factors * four_joints.log.tau)
-    alone = torque_scales(fitted).alone
-    assert may_be_alone(fitted) and alone is not None
+    scales = ScaleCorrections(fitted, EVIDENCE)
+    alone = scales.scales.alone
+    assert scales.may_be_alone and alone is not None
     assert alone[0] == joint and abs(alone[1] / factor - 1.0) < 0.2
 
 
@@ -136,7 +134,7 @@ def test_a_factor_on_weight_that_is_not_stated_refuses_nothing(
     # The last link states it all, as one without a way to a next joint does.
     links = [replace(link, placeholders=kinds) for link in robot.links[:-1]]
     robot = replace(robot, links=(*links, robot.links[-1]))
-    found = common_finding(robot, 1.99, 0.1, Evidence(np.ones(4), None, lambda: None))
+    found = common_finding(robot, 1.99, 0.1, EVIDENCE)
     assert found.level is level
     assert bool(found.options) == (level is Level.REFUSES)
     assert found.is_common_factor
