@@ -366,8 +366,8 @@ def misfit(fitted: Fit, current: Fit, least: float) -> Finding:
     names = ", ".join(compress(joints, driven(current)))
     if names:
         texts.append(
-            f"friction would drive {names}, as where drives add more than it takes, or where a "
-            "torque has the wrong sign"
+            f"near standstill friction would drive {names}, as where drives add more than it "
+            "takes, or where a torque has the wrong sign"
         )
     if least < share:
         texts.append(f"the nearest single cause leaves {percent(least)}")

@@ -226,7 +226,7 @@ def fits(fitted: Fit) -> bool:
 
 
 def driven(fitted: Fit) -> NDArray[np.bool_]:
-    """Return which joints (J,) friction drives, which real friction never does."""
+    """Return which joints (J,) friction drives near standstill, which real friction never does."""
     dry, error = dry_friction(fitted)
     return np.asarray(dry < -ALARMING * error)
 
