@@ -17,7 +17,7 @@ from robot_sysid.faults.loop import MOST_NAMED, State, found_in, name_faults, re
 from robot_sysid.faults.misfits import (
     computed_findings,
     delay_findings,
-    external_findings,
+    external_torque,
     misfit,
     model_findings,
     most_friction,
@@ -28,7 +28,7 @@ from robot_sysid.faults.misfits import (
 )
 from robot_sysid.faults.plausibility import drives, is_of_single_joints
 from robot_sysid.faults.reading_search import (
-    CLEARLY_LESS,
+    RATIOS,
     Correction,
     Evidence,
     ReadingSearch,
@@ -97,11 +97,8 @@ def findings(fitted: Fit, evidence: Evidence) -> Found:
     unmeasured = [each for each in named if each.about.stands_for & StandsFor.ALL]
     if unmeasured:
         return Found(unmeasured, right)
-    if is_experiment:
-        of_links = StandsFor.LINKS | StandsFor.GRAVITY
-        kept = [each for each in named if not each.about.stands_for & of_links]
-        return Found(kept, right)
-    if any(finding.level is not Level.SAYS for finding in named):
+    is_wrong = any(finding.level is not Level.SAYS for finding in named)
+    if is_experiment or is_wrong:
         return Found(named, right)
     answer = answer_of(right)
     if right is not fitted:
@@ -116,24 +113,17 @@ def class_findings(fitted: Fit, search: ReadingSearch) -> Iterator[Finding]:
         return
     shares = shares_of(fitted)
     # Where inertia has gone, the view leaves less than links that have to have some.
-    is_less = shares.left < CLEARLY_LESS * fitted.unexplained_share
-    found = [*external_findings(fitted, shares)]
-    if shares.is_weight_alone and is_less:
-        found.append(weight_alone())
-    # Time that is too short hides inertia, all but for a part, and degrees hide weight.
-    if found and not search.unit_corrections:
-        yield from found
+    is_alone = shares.is_weight_alone and shares.left < fitted.unexplained_share
+    is_alone = is_alone and not drives(fitted)
+    # Time by another rate leaves that much of it, and degrees hide weight.
+    if is_alone and shares.most_inertia < RATIOS[-1] ** -2.0:
+        yield weight_alone()
+    elif (is_alone or shares.has_no_weight) and not search.unit_corrections:
+        yield weight_alone() if is_alone else external_torque(fitted, shares)
 
 
 def unexplained_findings(fitted: Fit, state: State) -> list[Finding]:
-    """Return what is said of a log that nothing explains.
-
-    Friction that drives a joint is a turned sign whatever the model, and nothing else.
-    """
+    """Return what is said of a log that nothing explains, but for signs that are likely turned."""
     named = [*state.reading.findings]
     is_sign = {each.about for each in named} == {FaultName.SIGN}
-    return (
-        named
-        if is_sign and drives(fitted)
-        else [misfit(fitted, state.current, state.least)]
-    )
+    return named if is_sign else [misfit(fitted, state.current, state.least)]

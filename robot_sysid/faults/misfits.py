@@ -19,12 +19,12 @@ from robot_sysid.estimate.choose import (
     odd_link,
     solve_question,
 )
-from robot_sysid.estimate.contacts import DEVIATION_OVER_MEDIAN, LITTLE
+from robot_sysid.estimate.contacts import DEVIATION_OVER_MEDIAN
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.links import CENTRE, MASS, OddNumber
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import PER_CENT
-from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, SCALES, ZEROS
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, ZEROS
 from robot_sysid.faults import Finding
 from robot_sysid.faults.columns import INERTIAL, WEIGHT
 from robot_sysid.faults.loop import State
@@ -141,7 +141,7 @@ def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
         current: the same with the faults that have joined it, but for a delay.
     """
     name = DELAY.key
-    if fitted.question.differing is not None or name not in fitted.names:
+    if fitted.question.differing is not None:
         return
     value, error, gain = fitted.by_name[name], fitted.error_of(name), np.inf
     owner, joints = "all joints", fitted.arm.indices
@@ -166,7 +166,7 @@ def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
     is_harmful = np.any(np.abs(change) > INTERVAL * np.array(errors))
     is_doubt = is_harmful and is_more and gain >= CLEAR
     yield Finding(
-        Level.DOUBTS if is_doubt and not fitted.question.loaded else Level.SAYS,
+        Level.DOUBTS if is_doubt else Level.SAYS,
         FaultName.DELAY,
         f"torque of {owner} is {with_error(1e3 * abs(value), 1e3 * error, 'ms')} "
         f"{'later' if value > 0.0 else 'earlier'} than position",
@@ -221,11 +221,8 @@ def model_findings(
     robot = fitted.arm.robot
     current = state.current
     zeros = [] if state.joined else [*odd_zeros(answer)]
-    wrong = [] if odd_link(current) is None else [*wrong_mass(answer)]
-    wrong += wrong_centre(answer)
+    wrong = [*wrong_number(answer, current)]
     is_odd = scales.may_be_odd and scales.scales.is_odd
-    # Scales follow whatever else is left over.
-    is_odd = is_odd and scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
     if zeros:
         yield from (*zeros, *wrong)
@@ -237,8 +234,7 @@ def model_findings(
         yield from common
     elif not is_plausible(current):
         yield Finding(
-            # What an empty log has wrong as well does not matter to a payload.
-            Level.SAYS if fitted.question.loaded else Level.DOUBTS,
+            Level.DOUBTS,
             FaultName.MODEL,
             "to fit this log, the terminal link would have "
             f"{with_error(*last_mass(current), 'kg')} on an arm of {robot.mass:.3g} kg, or other "
@@ -300,24 +296,31 @@ def odd_zero(joint: str, zero: float, error: float) -> Finding:
     )
 
 
-def wrong_mass(answer: Fit) -> Iterator[Finding]:
-    """Yield the finding that the log contradicts the mass of one link of the model by far.
+def wrong_number(answer: Fit, current: Fit) -> Iterator[Finding]:
+    """Yield the finding that the log contradicts the mass or centre of one link of the model.
 
-    It has to be farther off than a link of a right model may be, and to be larger than its error:
-    no link has no mass, so that something else has taken it up (a gear's ripple). A forearm whose
-    mass is ten times too large in the model comes out with twice its error.
+    Args:
+        answer: to the log with what was found.
+        current: the fit with the faults that have joined it, which may explain a mass.
     """
     odd = answer.question.odd_number
-    if odd is None or odd.kind != MASS:
-        return
-    robot = answer.arm.robot
-    link = robot.links[odd.link]
-    name = answer.arm.links[odd.link][0]
+    if odd is not None and odd.kind == CENTRE:
+        yield wrong_centre(answer, odd.link)
+    elif odd is not None and odd_link(current) is not None:
+        yield from wrong_mass(answer, odd.link)
+
+
+def wrong_mass(answer: Fit, number: int) -> Iterator[Finding]:
+    """Yield the finding that the log contradicts the mass of one link of the model by far.
+
+    It has to be farther off than a link of a right model may be.
+    """
+    link = answer.arm.robot.links[number]
+    name = answer.arm.links[number][0]
     mass = answer.by_name[name]
     error = answer.error_of(name)
     expected = float(link.theta[0])
-    is_seen = mass > error
-    if is_seen and abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
+    if abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
         yield Finding(
             Level.SAYS,
             FaultName.MODEL,
@@ -328,16 +331,13 @@ def wrong_mass(answer: Fit) -> Iterator[Finding]:
         )
 
 
-def wrong_centre(answer: Fit) -> Iterator[Finding]:
-    """Yield the finding that the log contradicts the centre of mass of one link of the model."""
-    odd = answer.question.odd_number
-    if odd is None or odd.kind != CENTRE:
-        return
-    found = centre_off_model(answer, odd.link)
-    link = answer.arm.robot.links[odd.link]
+def wrong_centre(answer: Fit, number: int) -> Finding:
+    """Return the finding that the log contradicts the centre of mass of one link of the model."""
+    found = centre_off_model(answer, number)
+    link = answer.arm.robot.links[number]
     stated = ", ".join(f"{1e3 * each:.0f}" for each in link.theta[1:4] / link.theta[0])
     way = ", ".join(f"{each:.2f}" for each in found.direction)
-    yield Finding(
+    return Finding(
         Level.SAYS,
         FaultName.MODEL,
         f"the log contradicts the model's centre of mass of {link.body_name}, ({stated}) mm: it is "
@@ -392,14 +392,11 @@ def missing_torque(fitted: Fit, joint: int) -> str:
     return f"{name} has {', '.join(parts)}"
 
 
-def external_findings(fitted: Fit, shares: Shares) -> Iterator[Finding]:
-    """Yield the finding that the links' weight has gone from the torque, which something explains.
+def external_torque(fitted: Fit, shares: Shares) -> Finding:
+    """Return the finding that the links' weight has gone from the torque, which something explains.
 
     It is asked before masses may move: links without mass would fit it.
     """
-    # Torque that has inertia may be right: in a short motion a last link can stand for all weight.
-    if not shares.has_no_weight or shares.has_inertia:
-        return
     joint = int(np.argmax(shares.torque * shares.is_weighed))
     text = (
         "the torque lacks the weight of the arm's links "
@@ -407,7 +404,7 @@ def external_findings(fitted: Fit, shares: Shares) -> Iterator[Finding]:
         f"{fitted.arm.joints[joint]}): it is external torque, from which a controller's model was "
         "taken off, and shows friction and what hangs on the flange alone"
     )
-    yield Finding(Level.REFUSES, FaultName.GRAVITY, text, MEASURED)
+    return Finding(Level.REFUSES, FaultName.GRAVITY, text, MEASURED)
 
 
 def weight_alone() -> Finding:
@@ -434,22 +431,16 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
     """Yield the finding that the links before the last have lost most of their mass in a result.
 
     Nothing may write such a model, whatever else is said of its log. One link alone may be wrong in
-    the model, and does not count.
+    the model, and does not count. Where geometry stands for masses, a single one shows little.
     """
     arm = fitted.arm
     question = fitted.question
+    if arm.robot.lacks_masses:
+        return
     links = [k for k in arm.others if question.odd_number != OddNumber(k, MASS)]
     masses = {link: arm.model[arm.links[link][0]] for link in links}
-    left = 1.0
-    if question.common_scale:
-        # What all torques share takes up weight that is lost, in place of masses.
-        scales = [fitted.by_name.get(name, 0.0) for name in arm.terms[SCALES].names]
-        left += float(np.mean(scales))
-    found = {link: left * fitted.by_name[arm.links[link][0]] for link in links}
+    found = {link: fitted.by_name[arm.links[link][0]] for link in links}
     lost = [link for link, mass in masses.items() if found[link] < LOST * mass]
-    if arm.robot.lacks_masses and sum(found.values()) > LOST * sum(masses.values()):
-        # A single one shows little where geometry stands for its mass.
-        lost = []
     share = sum(masses[link] for link in lost) / max(sum(masses.values()), 1e-300)
     if share > MOST_LINKS:
         link = max(lost, key=lambda each: masses[each])

@@ -170,19 +170,13 @@ def friction_share(fitted: Fit) -> tuple[float, float, float]:
     it: that may have any part of it where there is any, but not where there is none.
     """
     torque = typical_torque(fitted)
-    terms = [
-        term
-        for term in fitted.equations.terms
-        if term.cause != FURTHER_FRICTION and term.names[0] in fitted.sums.names
-    ]
+    terms = [t for t in fitted.equations.terms if t.cause != FURTHER_FRICTION]
     plain = fitted.refit(terms)
     spans = [
         span
         for term, span in plain.equations.spans
         if term.key in (COULOMB.name, VISCOUS.name)
     ]
-    if not spans:
-        return 0.0, np.inf, 0.0
     at = np.concatenate(spans)
     values, inverse = plain.unbounded_solution
     squares = plain.sums.squares[:, plain.equations.index[at]]
@@ -267,8 +261,6 @@ def is_of_single_joints(fitted: Fit) -> bool:
     """
     is_used = np.concatenate([recording.is_used for recording in fitted.recordings])
     counts = np.sum(is_used[:, fitted.arm.indices], axis=1)
-    if not np.any(counts):
-        return False
     return bool(np.mean(counts[counts > 0]) < MOST_AT_ONCE)
 
 

@@ -303,12 +303,8 @@ class ReadingSearch:
         tried += gear_ratios(robot, self.moving, self.shown)
         if not is_foreign(self.fitted):
             tried += time_bases(robot)
-        if not tried:
-            return []
-        most, best = self._best(tried)
-        if most < self.score([], FINE_RESIDUAL) + CLEAR:
-            return []
-        gear = gear_in(best.reading)
+        found = self._clear_best(tried)
+        gear = gear_in(found[0].reading) if found else None
         if gear is not None:
             joint, factor, is_of_motor = gear
             step = GEAR_STEP
@@ -318,16 +314,15 @@ class ReadingSearch:
                 _, best = self._best(gears)
                 step *= 0.5 if best is gears[0] else 1.0
                 factor = next(way for way, each in zip(ways, gears) if each is best)
-        return [best]
+                found = [best]
+        return found
 
     @cached_property
     def motors(self) -> list[Mistake]:
         """The motors of two joints of a wrist with which the log reads best; [] for none."""
-        tried = [*shared_motors(self.arm.robot, self.moving[-OF_WRIST:])]
-        if not tried:
-            return []
-        most, best = self._best(tried)
-        return [best] if most > self.score([], FINE_RESIDUAL) + CLEAR else []
+        return self._clear_best(
+            [*shared_motors(self.arm.robot, self.moving[-OF_WRIST:])]
+        )
 
     @cached_property
     def unit_corrections(self) -> list[Correction]:
@@ -340,6 +335,13 @@ class ReadingSearch:
         scores = self.scores([[each] for each in tried], FINE_RESIDUAL)
         return max(zip(scores, tried), key=lambda way: way[0])
 
+    def _clear_best(self, tried: Sequence[Mistake]) -> list[Mistake]:
+        """Return the mistake that alone fits best, if it gains clearly; [] for none."""
+        if not tried:
+            return []
+        most, best = self._best(tried)
+        return [best] if most > self.score([], FINE_RESIDUAL) + CLEAR else []
+
     def _signs(self, tried: Sequence[Mistake]) -> tuple[float, list[Mistake]]:
         """Return the likeliest turned signs of torques, two at least, with their likelihood."""
         turned = [each for each in tried if is_torque_sign(each)]
@@ -348,10 +350,8 @@ class ReadingSearch:
         counts = range(2, len(turned) + 1)
         ways = chain.from_iterable(combinations(turned, count) for count in counts)
         together = [[*way] for way in ways]
-        if not together:
-            return -np.inf, []
         scored = zip(self.scores(together, FINE_RESIDUAL), together)
-        return max(scored, key=lambda way: way[0])
+        return max(scored, key=lambda way: way[0], default=(-np.inf, []))
 
     def best_together(
         self, tried: Sequence[Mistake], evidence: Evidence
@@ -460,9 +460,8 @@ def is_own(before: Fit, after: Fit, reading: Reading) -> bool:
     Friction of one joint, which no term has, is followed by any column, in every block of a log
     alike. So the rows of the joints that are blamed have to gain beyond what real friction leaves,
     or what was left of one of them has to be explained, or several other joints have to gain. What
-    blames no joint, a mounting or a time, is of all, and so is a zero where gravity was stated: the
-    first joint's is that direction. Nor is it asked where links that cannot be take up what is
-    wrong, or friction that drives.
+    blames no joint, a mounting or a time, is of all. Nor is it asked where links that cannot be
+    take up what is wrong, or friction that drives.
 
     Args:
         before: the fit of the log as it was recorded.
@@ -470,8 +469,7 @@ def is_own(before: Fit, after: Fit, reading: Reading) -> bool:
         reading: how.
     """
     own = reading.blamed[before.arm.indices]
-    is_stated = before.arm.robot.gravity is not None and np.any(reading.zeros)
-    if not np.any(own) or is_stated or not is_plausible(before) or drives(before):
+    if not np.any(own) or not is_plausible(before) or drives(before):
         return True
     counts = np.minimum(
         np.sum(before.sums.counts, axis=0), np.sum(after.sums.counts, axis=0)
@@ -509,8 +507,8 @@ def read_once(fitted: Fit, reading: Reading) -> Fit:
     if reading.gravity is not None:
         point = replace(point, gravity=reading.gravity)
     sums = arm.sums(recordings, point, in_blocks=False)
-    terms = [term for term in fitted.equations.terms if term.key in arm.terms]
     problem = replace(fitted, arm=arm, point=point, sums=sums, recordings=recordings)
+    terms = fitted.equations.terms
     return problem.fit(terms, None, fitted.noise, fitted.correlation, possible=False)
 
 
@@ -731,5 +729,4 @@ def mounting_correction(
         f"state the direction of gravity ({', '.join(numbers)}) with {option_name('gravity')}",
         (("--gravity", *numbers),),
     )
-    # A base that is less tilted is mounted as the model says.
-    return after, [finding] if angle > TURNED else []
+    return after, [finding]

@@ -12,7 +12,7 @@ of the scales, with the links eliminated).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -26,7 +26,6 @@ from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.terms import SCALES, ArmTerms, Prior
 from robot_sysid.faults import Finding
-from robot_sysid.faults.judge import with_effects
 from robot_sysid.faults.plausibility import (
     LARGER,
     SMALLER,
@@ -205,8 +204,7 @@ class TorqueScales:
             error = float(np.sqrt(apart @ self.covariance @ apart))
             ratio = float(apart @ size)
             is_clear = abs(ratio) >= max(np.log(ALONE), SURE * error)
-            is_clear &= error < SURE_SCALE
-            if is_clear and abs(ratio) < np.log(OTHER_UNIT):
+            if is_clear and error < SURE_SCALE:
                 clear.append((abs(ratio), joint, ratio, error))
         if not clear:
             return None
@@ -269,20 +267,15 @@ def are_identified(scales: Array, errors: Array) -> NDArray[np.bool_]:
     return np.asarray(is_other | (errors < SURE_SCALE))
 
 
-def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
+def torque_scales(fitted: Fit) -> TorqueScales:
     """Return how many times the model's the torques of a log are.
 
     Links are off as those of arms usually are: with models that are right to 5 %, right arms would
     be clearly off. Signs are found beside the scales in torques of another unit, in which a turned
     one alone explains nothing.
-
-    Args:
-        fitted: the fit of the log.
-        effects: of faults that have joined it.
     """
-    # Columns of faults take time, and only faults that have joined the fit need them.
-    named = [term for term in fitted.arm.terms.values() if term.cause]
-    arm = fitted.arm if effects else fitted.arm.of(named)
+    # Columns of faults take time.
+    arm = fitted.arm.of(term for term in fitted.arm.terms.values() if term.cause)
     recordings, every = part_of_rows(fitted, ROWS)
     correlation = np.maximum(fitted.correlation / every, 1.0)
     # The last link is free, whatever was asked: what hangs there is no scale.
@@ -309,7 +302,6 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
         scaled = sums.with_torque_times(1.0 / scale)
         terms = arm_question(arm, question, scaled.rms_torque)
         others = [term for term in terms if term.cause != SCALES]
-        scaled, others = with_effects(scaled, others, effects)
         problem = Problem(arm, recordings, point, scaled, question)
         links = problem.fit(others, None, links_noise, correlation, possible=False)
         point = links.next_point()
@@ -320,7 +312,6 @@ def torque_scales(fitted: Fit, effects: Sequence[Effect] = ()) -> TorqueScales:
             for term in terms
         ]
         scaled = sums.with_torque_times(1.0 / scale)
-        scaled, terms = with_effects(scaled, terms, effects)
         problem = Problem(arm, recordings, point, scaled, question)
         after = problem.fit(terms, None, noise, correlation, possible=False)
         at = after.at(arm.terms[SCALES].names)
@@ -404,8 +395,7 @@ class ScaleCorrections:
         reading = torque_reading(fitted.arm, factors)
         after = refit(fitted, reading)
         finding = common_finding(fitted.arm.robot, factor, error, self.evidence)
-        is_small = finding.is_common_factor and self.scales.agreed < np.log(ODD)
-        if is_small:
+        if self.scales.agreed < np.log(ODD):
             finding = replace(finding, level=Level.SAYS)
         return Correction((finding,), gain_between(fitted, after, reading), after)
 
@@ -538,7 +528,7 @@ def unstated_weight(robot: RobotModel) -> str:
     weights = np.array([np.linalg.norm(link.reference[1:4]) for link in robot.links])
     is_stated = [not {MASS, CENTRE} & {*link.placeholders} for link in robot.links]
     is_most = np.sum(weights[is_stated]) > STATED_WEIGHT * np.sum(weights)
-    return "" if is_most or not np.any(weights) else "centres of mass"
+    return "" if is_most else "centres of mass"
 
 
 def weight_of_geometry(text: str, unstated: str) -> Finding:

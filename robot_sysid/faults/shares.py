@@ -81,12 +81,6 @@ class Shares:
         return bool(np.all(is_lost[own]) and is_clear)
 
     @property
-    def has_inertia(self) -> bool:
-        """Whether the torque of the links' inertia is rather there than not."""
-        share, _ = common_share(self.inertia, self.inertia_covariance)
-        return share > 0.5
-
-    @property
     def is_weight_alone(self) -> bool:
         """Whether the links' weight is there, and their inertia has gone.
 
@@ -94,8 +88,15 @@ class Shares:
         """
         own = self.is_weighed
         is_there = np.any(own) and np.all(self.weight[own] > LOST)
+        _, error = common_share(self.inertia, self.inertia_covariance)
+        is_gone = self.most_inertia < NO_INERTIA and INTERVAL * error < LOST
+        return bool(is_there and is_gone)
+
+    @property
+    def most_inertia(self) -> float:
+        """The largest share of the links' inertia that the torque may have."""
         share, error = common_share(self.inertia, self.inertia_covariance)
-        return bool(is_there and share + INTERVAL * error < NO_INERTIA)
+        return share + INTERVAL * error
 
 
 def common_share(shares: Array, covariance: Array) -> tuple[float, float]:

@@ -65,7 +65,17 @@ def test_placeholders_of_inertia_hide_no_weight(four_joints):
     right = shares(four_joints, four_joints.log.tau)
     found = shares(vague, four_joints.log.tau)
     assert found.weight == pytest.approx(right.weight, abs=0.01)
-    assert found.has_inertia and not found.has_no_weight
+    assert not found.is_weight_alone and not found.has_no_weight
+
+
+@pytest.mark.parametrize("error, is_known", [(0.02, True), (9.0, False)])
+def test_inertia_is_gone_only_where_it_is_known(four_joints, error, is_known):
+    """What a last link takes up may be anything: a turned sign leaves -22 +- 9 of inertia."""
+    right = shares(four_joints, four_joints.log.tau)
+    assert not right.is_weight_alone
+    own = np.diag(np.full(4, error**2))
+    other = replace(right, inertia=np.full(4, -22.0), inertia_covariance=own)
+    assert other.is_weight_alone == is_known
 
 
 @pytest.mark.fast_cases(1)
