@@ -81,6 +81,19 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
 
 
 @pytest.mark.slow
+def test_kukas_log_of_six_samples_a_second_writes_as_good_a_file(tmp_path):
+    """What is sampled seldom has fewer independent samples; nothing else is wrong with it."""
+    title, *lines = (KUKA / "lwr4_hw1_200Hz.csv").read_text().splitlines()
+    log = tmp_path / "seldom.csv"
+    log.write_text("\n".join([title, *lines[::33]]))
+    other = ("--validation-measurements", KUKA / "lwr4_hw2_200Hz.csv")
+    model = KUKA / "kuka_lwr4.urdf"
+    code, params = run_identify(tmp_path / "out", model, log, *other)
+    before, after = torque_errors(params)
+    assert code == 0 and after < 0.055 < 0.08 < before
+
+
+@pytest.mark.slow
 def test_tx40s_rotor_inertia_is_seen(tmp_path):
     """Motor torques: without rotor inertia the error is several times larger."""
     log = TX40 / "tx40_500Hz.csv"

@@ -1,13 +1,14 @@
 """What right logs of real arms are accused of, as they are and under other conditions.
 
     OMP_NUM_THREADS=1 python -m benchmarks.trust.real_right REAL_LOGS [--only kuka]
-        [--conditions whole parts half_rate links cutoff] [--rows FILE]
+        [--conditions whole parts half_rate seldom links cutoff] [--rows FILE]
 
 REAL_LOGS has the files that ``rigs.logs.real_logs`` names. Conditions:
 
 whole      each log as it is
 parts      its halves and thirds
 half_rate  every second sample
+seldom     some ten samples a second
 links      with a model whose links are all 15 % off, in masses, centres of mass and inertias, five
            times
 cutoff     behind a low-pass whose cut-off is 0.7 and 1.4 times the chosen one
@@ -43,6 +44,7 @@ from rigs.files.torque_error import error_on_log, written_model
 from rigs.files.urdf_links import write_urdf_off
 from rigs.logs.real_logs import LOGS, RealLog, part_of, write_real_log
 from robot_sysid.records import Recording
+from robot_sysid.signals.resampling import sampling_period
 
 PARTS = {
     "first half": (0.0, 0.5),
@@ -56,7 +58,9 @@ LINKS_OFF = 0.15
 LINK_SEEDS = 5
 CUTOFFS = (0.7, 1.4)
 """Factors on the cut-off that is chosen."""
-CONDITIONS = ("whole", "parts", "half_rate", "links", "cutoff")
+CONDITIONS = ("whole", "parts", "half_rate", "seldom", "links", "cutoff")
+SELDOM = 10.0
+"""Samples a second, about."""
 EXCUSE = re.compile(r"at rest|record longer|independent samples|stands? still")
 """Words of a refusal that is right: the log is too short, or the arm rests."""
 PROGRAM = (sys.executable, "-m", "robot_sysid")
@@ -106,6 +110,7 @@ def cases_of(log: RealLog, conditions: Sequence[str]) -> Iterator[Case]:
         "whole": [""],
         "parts": [*PARTS],
         "half_rate": [""],
+        "seldom": [""],
         "links": [str(seed) for seed in range(LINK_SEEDS)],
         "cutoff": [f"{factor:g}" for factor in CUTOFFS],
     }
@@ -141,6 +146,8 @@ def look(case: Case, root: Path, log: Recording) -> Row:
         log = part_of(log, *PARTS[case.detail])
     elif case.condition == "half_rate":
         log = log[::2]
+    elif case.condition == "seldom":
+        log = log[:: round(1.0 / (SELDOM * sampling_period(log.time)))]
     elif case.condition == "cutoff":
         code = OTHER_CUTOFF.format(factor=case.detail)
         program = (sys.executable, "-c", code)

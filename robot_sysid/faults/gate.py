@@ -33,7 +33,7 @@ from robot_sysid.faults.samples import (
 from robot_sysid.faults.stretches import stretch_findings
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
-from robot_sysid.records.messages import Level, Progress, position_unit
+from robot_sysid.records.messages import Level, Progress
 from robot_sysid.records.option_fields import SCALE as TORQUE_SCALE
 from robot_sysid.records.option_fields import joint_factors
 from robot_sysid.records.usual_errors import SCALE
@@ -42,15 +42,11 @@ from robot_sysid.signals.process import (
     low_pass_recordings,
     shared_notes,
 )
-from robot_sysid.signals.resampling import duration, sampling_period, split_at_gaps
+from robot_sysid.signals.resampling import duration, split_at_gaps
 from robot_sysid.wording import option_setting
 
 TRYING = "Trying explanations"
 """Label of the progress of the search for faults."""
-LEAST_RATE = 10.0
-"""Sampling rate below which a motion cannot be differentiated [Hz]."""
-SLOWEST = 0.05
-"""Speed that at least one joint of a moving arm reaches [rad/s]."""
 LEAST_ROWS = 26
 """Independent samples of a joint that are needed: two for each of the last link's ten parameters
 and the joint's friction. What they do not show keeps the model's numbers, and its ± are as wide."""
@@ -107,12 +103,14 @@ def judge(
     notes: tuple[str, ...] = ()
     if not refusals(found):
         recordings, notes = low_pass_recordings(robot, pieces, options.cutoff)
-        found += enough_findings(pieces, recordings)
+        # A low-pass of f [Hz] leaves 2 f independent samples per second.
+        cutoff, span = mean_cutoff(pieces, recordings), duration(pieces)
+        found += few_findings(2.0 * cutoff * span, span, cutoff)
     if refusals(found):
         return Judged(tuple(logs), in_order(found), notes, None)
     fitted = solve_question(robot, recordings, question, progress, fault_columns)
     most = float(np.max(fitted.sums.row_counts))
-    found += few_findings(most, duration(pieces), mean_cutoff(pieces, recordings))
+    found += few_findings(most, span, cutoff)
     if refusals(found):
         return Judged(tuple(logs), in_order(found), notes, None)
     usual = replace(
@@ -145,7 +143,6 @@ def judge(
             for each in wrong
             if not each.about.stands_for & StandsFor.LINKS or each.is_common_factor
         ]
-    wrong = wrong or [*slow_findings(robot, recordings)]
     doubtful = [each.about.stands_for & StandsFor.MOMENT for each in [*found, *wrong]]
     if not any(doubtful):
         touched = [each for log in explained.right.recordings for each in log.touched]
@@ -235,39 +232,6 @@ def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
 def refusals(found: Iterable[Finding]) -> list[Finding]:
     """Return the findings that forbid the use of logs."""
     return [finding for finding in found if finding.level is Level.REFUSES]
-
-
-def slow_findings(
-    robot: RobotModel, recordings: Sequence[FilteredRecording]
-) -> Iterator[Finding]:
-    """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
-    speeds = np.concatenate([each.motion.qd for each in recordings])
-    fastest = np.max(np.abs(speeds), axis=0)
-    joint = np.argmax(fastest)
-    if fastest[joint] < SLOWEST:
-        unit = position_unit(robot.is_slide[joint])
-        text = f"no joint moves faster than {fastest[joint]:.2g} {unit}/s"
-        yield Finding(
-            Level.REFUSES, FaultName.TOO_LITTLE, text, "record a faster motion"
-        )
-
-
-def enough_findings(
-    pieces: Sequence[Recording], recordings: Sequence[FilteredRecording]
-) -> Iterator[Finding]:
-    """Yield findings where the sampling rate, or the number of independent samples, is too low.
-
-    A low-pass of f [Hz], as of the recordings, leaves 2 f independent samples per second.
-    """
-    cutoff = mean_cutoff(pieces, recordings)
-    span = duration(pieces)
-    rate = 1.0 / sampling_period(pieces[0].time)
-    if rate < LEAST_RATE:
-        text = f"{rate:.3g} samples per second are too few"
-        yield Finding(
-            Level.REFUSES, FaultName.TOO_LITTLE, text, "record at 100 or more"
-        )
-    yield from few_findings(2.0 * cutoff * span, span, cutoff)
 
 
 def mean_cutoff(

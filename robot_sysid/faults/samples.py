@@ -48,6 +48,8 @@ STANDING_SPEED = 0.3
 FEW = 0.003
 """Share of steps above which a finding is made: right logs with stamps of their samples have none,
 logs with one stale sample in a hundred 0.0074 to 0.0086."""
+BY_CHANCE = 3.0
+"""Steps that look so in a right log that was sampled some times a second: two in 180."""
 MUCH = 0.02
 """Share of steps with lost samples from which on a log is refused; where a tenth of the samples are
 lost it is 0.09."""
@@ -139,14 +141,13 @@ def clock_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
     level = Level.SAYS if is_uneven else Level.DOUBTS
     remedy = "record the time at which each sample was taken"
     # Noise that makes many steps of the smaller excess may also make those with the larger one.
-    if lost > max(FEW, NOISE_OVER_EXCESS * uneven):
+    few = max(FEW, BY_CHANCE / len(speed))
+    if lost > max(few, NOISE_OVER_EXCESS * uneven):
         text = f"{percent(lost)} of the steps have lost samples that the time stamps do not show"
-        is_much = lost > MUCH and not is_uneven
-        yield Finding(
-            Level.REFUSES if is_much else level, FaultName.CLOCK, text, remedy
-        )
+        level_of_lost = Level.REFUSES if lost > MUCH else level
+        yield Finding(level_of_lost, FaultName.CLOCK, text, remedy)
     # A low-pass smooths a repeated sample away, but not a wrong time.
-    if repeated > FEW:
+    if repeated > few:
         text = (
             f"{percent(repeated)} of the steps repeat the position of the sample before while the "
             "arm moves"

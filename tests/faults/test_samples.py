@@ -82,6 +82,17 @@ def test_lost_samples_behind_a_counted_time_are_refused(seed, share):
     assert list(clock_findings([honest])) == []
 
 
+@given(st.integers(0, 2**32), st.floats(5.0, 12.0))
+def test_samples_that_are_few_are_not_lost(seed, rate):
+    """Between two of them, a motion speeds up by more than noise makes of one that is dense."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(60.0 * rate) / rate
+    rates = 2.0 * np.pi * rng.uniform(0.05, 0.5, (5, 3))
+    phases = rates * time[:, None, None] + rng.uniform(0.0, 6.0, (5, 3))
+    q = np.sum(rng.uniform(0.1, 0.4, (5, 3)) * np.sin(phases), axis=1)
+    assert list(clock_findings([Recording(time, q, None, q)])) == []
+
+
 @given(st.floats(0.2, 3.0), st.integers(100, 500))
 @example(1.05, 250)
 def test_a_slow_motion_in_steps_of_an_encoder_loses_no_samples(steps, rate):
