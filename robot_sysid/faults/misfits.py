@@ -113,11 +113,11 @@ FRICTION_ERRORS = 5.0
 def time_findings(fitted: Fit, evidence: Evidence) -> Iterator[Finding]:
     """Yield the finding that time is too long or too short, by recorded velocities.
 
-    Nothing is yielded where torques rather say that time is right.
+    Nothing is yielded where torques do not say so, too: drives filter their velocities.
     """
     share = evidence.time_share
-    value = weighed_time(fitted) if share else 0.0
-    if share and abs(value - share) <= abs(value):
+    value, error = weighed_time(fitted) if share else (0.0, 0.0)
+    if share and abs(value) >= max(SURE * error, abs(value - share)):
         way = "long" if share > 0.0 else "short"
         yield Finding(
             Level.REFUSES,
@@ -201,10 +201,11 @@ def earlier(recording: FilteredRecording, delays: Array) -> FilteredRecording:
     return recording.using(recording.is_used, tau=np.stack(tau, axis=1))
 
 
-def weighed_time(fitted: Fit) -> float:
-    """Return by which share time is too long, as torques show it."""
+def weighed_time(fitted: Fit) -> tuple[float, float]:
+    """Return by which share time is too long, as torques show it, and its error."""
     (clock,) = at_inertia(fitted, WHOLE_CLOCK)
-    return TIME * float(Offers(fitted).weigh(clock.effect).values[0])
+    found = Offers(fitted).weigh(clock.effect)
+    return TIME * float(found.values[0]), TIME * float(found.errors[0])
 
 
 def model_findings(
@@ -313,14 +314,17 @@ def wrong_number(answer: Fit, current: Fit) -> Iterator[Finding]:
 def wrong_mass(answer: Fit, number: int) -> Iterator[Finding]:
     """Yield the finding that the log contradicts the mass of one link of the model by far.
 
-    It has to be farther off than a link of a right model may be.
+    It has to be farther off than a link of a right model may be, and to be larger than its error:
+    no link has no mass, so that something else has taken it up (a gear's ripple). A forearm whose
+    mass is ten times too large in the model comes out with twice its error.
     """
     link = answer.arm.robot.links[number]
     name = answer.arm.links[number][0]
     mass = answer.by_name[name]
     error = answer.error_of(name)
     expected = float(link.theta[0])
-    if abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
+    is_seen = mass > error
+    if is_seen and abs(mass - expected) - INTERVAL * error > FAR_OFF * expected:
         yield Finding(
             Level.SAYS,
             FaultName.MODEL,

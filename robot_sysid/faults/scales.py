@@ -203,7 +203,9 @@ class TorqueScales:
             apart[others] -= weights[others] / np.sum(weights[others])
             error = float(np.sqrt(apart @ self.covariance @ apart))
             ratio = float(apart @ size)
-            is_clear = abs(ratio) >= max(np.log(ALONE), SURE * error)
+            # The largest of so many errors is no evidence.
+            least = np.sqrt(SURE**2 + 2.0 * np.log(len(size)))
+            is_clear = abs(ratio) >= max(np.log(ALONE), least * error)
             if is_clear and error < SURE_SCALE:
                 clear.append((abs(ratio), joint, ratio, error))
         if not clear:

@@ -57,6 +57,20 @@ def test_a_tool_hides_a_factor_below_one_from_weights_alone():
     assert not scales_of(1.0 / 0.65, [1.0, 1.0 / 0.95]).is_odd
 
 
+@pytest.mark.parametrize(("errors", "is_named"), [(3.3, False), (3.7, True)])
+def test_one_joint_of_many_is_blamed_beyond_the_largest_of_their_errors(
+    errors, is_named
+):
+    """Of an AR5's seven joints, a wrist was 3.4 errors from the others in one log of many."""
+    values = np.ones(7)
+    values[4] = 0.5
+    every = np.ones(7, dtype=bool)
+    covariance = 1e-6 * np.eye(7)
+    covariance[4, 4] = (np.log(2.0) / errors) ** 2
+    scales = TorqueScales(values, covariance, every, every, 0.0, np.array([]))
+    assert (scales.alone is not None) == is_named
+
+
 def test_no_scale_is_searched_in_a_right_log(right):
     scales = ScaleCorrections(right, EVIDENCE)
     assert not scales.may_be_alone and not scales.may_be_odd

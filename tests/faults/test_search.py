@@ -11,7 +11,9 @@ from scipy.stats import chi2
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
+from robot_sysid.faults.misfits import time_findings, weighed_time
 from robot_sysid.faults.plausibility import is_plausible
+from robot_sysid.faults.reading_search import Evidence
 from robot_sysid.faults.table import explanations
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR
@@ -55,6 +57,14 @@ def test_each_explanation_is_found_with_the_value_that_is_put_in(right):
         shown += offer.gain > CLEAR
         assert before.gain < CLEAR, effect.names
     assert shown > 0.4 * len(offered)
+
+
+def test_velocities_that_torques_hardly_agree_with_say_nothing_of_time(right):
+    """Filters of drives make them some percent smaller, as time would that is too long."""
+    share, error = weighed_time(right)
+    assert abs(share) < 3.0 * error
+    evidence = Evidence(np.ones(4), share, lambda: None)
+    assert list(time_findings(right, evidence)) == []
 
 
 def add_to_torque(gram):
