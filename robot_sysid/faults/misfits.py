@@ -166,7 +166,7 @@ def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
     is_harmful = np.any(np.abs(change) > INTERVAL * np.array(errors))
     is_doubt = is_harmful and is_more and gain >= CLEAR
     yield Finding(
-        Level.DOUBTS if is_doubt else Level.SAYS,
+        Level.DOUBTS if is_doubt and not fitted.question.loaded else Level.SAYS,
         FaultName.DELAY,
         f"torque of {owner} is {with_error(1e3 * abs(value), 1e3 * error, 'ms')} "
         f"{'later' if value > 0.0 else 'earlier'} than position",
@@ -235,7 +235,8 @@ def model_findings(
         yield from common
     elif not is_plausible(current):
         yield Finding(
-            Level.DOUBTS,
+            # What an empty log has wrong as well does not matter to a payload.
+            Level.SAYS if fitted.question.loaded else Level.DOUBTS,
             FaultName.MODEL,
             "to fit this log, the terminal link would have "
             f"{with_error(*last_mass(current), 'kg')} on an arm of {robot.mass:.3g} kg, or other "
