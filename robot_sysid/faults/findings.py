@@ -113,17 +113,21 @@ def class_findings(fitted: Fit, search: ReadingSearch) -> Iterator[Finding]:
         return
     shares = shares_of(fitted)
     # Where inertia has gone, the view leaves less than links that have to have some.
-    is_alone = shares.is_weight_alone and shares.left < fitted.unexplained_share
-    is_alone = is_alone and not drives(fitted)
+    is_less = shares.left < fitted.unexplained_share
+    is_alone = shares.is_weight_alone and is_less and not drives(fitted)
     # Time by another rate leaves that much of it, and degrees hide weight.
-    if is_alone and shares.most_inertia < RATIOS[-1] ** -2.0:
-        yield weight_alone()
-    elif (is_alone or shares.has_no_weight) and not search.unit_corrections:
+    is_certain = is_alone and shares.most_inertia < RATIOS[-1] ** -2.0
+    is_found = is_alone or shares.has_no_weight
+    if is_certain or (is_found and not search.unit_corrections):
         yield weight_alone() if is_alone else external_torque(fitted, shares)
 
 
 def unexplained_findings(fitted: Fit, state: State) -> list[Finding]:
-    """Return what is said of a log that nothing explains, but for signs that are likely turned."""
+    """Return what is said of a log that nothing explains.
+
+    Friction that drives a joint is a turned sign whatever the model, and nothing else.
+    """
     named = [*state.reading.findings]
     is_sign = {each.about for each in named} == {FaultName.SIGN}
-    return named if is_sign else [misfit(fitted, state.current, state.least)]
+    is_sure = is_sign and drives(fitted)
+    return named if is_sure else [misfit(fitted, state.current, state.least)]

@@ -187,9 +187,9 @@ def readings(
         tried += column_correction(search, search.mistakes, evidence)
     else:
         tried += exchange_correction(search, evidence)
-    if fitted.arm.robot.gravity is not None:
-        # Links that may be off hide much of a direction that was stated the wrong way round.
-        tried += column_correction(search, search.mountings, evidence)
+        if fitted.arm.robot.gravity is not None:
+            # Links that may be off hide much of a direction that was stated the wrong way round.
+            tried += column_correction(search, search.mountings, evidence)
     for each in tried:
         if is_likely(each, fitted):
             yield each

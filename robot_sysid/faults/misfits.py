@@ -19,7 +19,7 @@ from robot_sysid.estimate.choose import (
     odd_link,
     solve_question,
 )
-from robot_sysid.estimate.contacts import DEVIATION_OVER_MEDIAN
+from robot_sysid.estimate.contacts import DEVIATION_OVER_MEDIAN, LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.links import CENTRE, MASS, OddNumber
 from robot_sysid.estimate.offers import Effect, Offers
@@ -224,6 +224,8 @@ def model_findings(
     zeros = [] if state.joined else [*odd_zeros(answer)]
     wrong = [*wrong_number(answer, current)]
     is_odd = scales.may_be_odd and scales.scales.is_odd
+    # Scales follow whatever else is left over.
+    is_odd = is_odd and scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
     if zeros:
         yield from (*zeros, *wrong)

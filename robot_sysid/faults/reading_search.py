@@ -106,8 +106,8 @@ on that was explained, however little it is: false readings reach 1.07, true one
 LEAST_NOISE = 1e-3
 """Least noise by which two fits are compared, as a share of all torque."""
 TURNED = 5.0
-"""Angle from which on a base is mounted otherwise, or a zero is a mistake of positions; less is a
-tilt, or a fault of the torque [degrees]."""
+"""Angle beside right ones from which on a zero is a mistake of positions; less is a fault of the
+torque [degrees]."""
 MOUNTING_TILT = 15.0
 """Tilt that is allowed about one of the 26 directions: they are at most some 27 degrees from the
 true one, usually half as much [degrees]."""
@@ -589,7 +589,7 @@ def correction_of(
         findings = [*column_findings(robot, taken, reading)]
         if reading.gravity is not None:
             after, turned = mounting_correction(fitted, reading, reading.gravity)
-            findings += turned
+            findings.append(turned)
         elif reading.time != 1.0:
             after, timed = time_correction(fitted, reading)
             findings += timed
@@ -698,8 +698,8 @@ def time_correction(fitted: Fit, reading: Reading) -> tuple[Fit, list[Finding]]:
 
 def mounting_correction(
     fitted: Fit, reading: Reading, gravity: Array
-) -> tuple[Fit, list[Finding]]:
-    """Return the fit of an arm whose base is mounted otherwise, and the finding, if it is.
+) -> tuple[Fit, Finding]:
+    """Return the fit of an arm whose base is mounted otherwise, and the finding.
 
     From one direction on, gravity (3,) is turned until the fit, which allows it a wide tilt, agrees
     with it.
@@ -729,4 +729,4 @@ def mounting_correction(
         f"state the direction of gravity ({', '.join(numbers)}) with {option_name('gravity')}",
         (("--gravity", *numbers),),
     )
-    return after, [finding]
+    return after, finding

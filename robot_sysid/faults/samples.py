@@ -140,12 +140,14 @@ def clock_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
     is_uneven = np.median(np.abs(duration - 1.0)) > UNEVEN_STAMPS
     level = Level.SAYS if is_uneven else Level.DOUBTS
     remedy = "record the time at which each sample was taken"
-    # Noise that makes many steps of the smaller excess may also make those with the larger one.
     few = max(FEW, BY_CHANCE / len(speed))
+    # Noise that makes many steps of the smaller excess may also make those with the larger one.
     if lost > max(few, NOISE_OVER_EXCESS * uneven):
         text = f"{percent(lost)} of the steps have lost samples that the time stamps do not show"
-        level_of_lost = Level.REFUSES if lost > MUCH else level
-        yield Finding(level_of_lost, FaultName.CLOCK, text, remedy)
+        is_much = lost > MUCH and not is_uneven
+        yield Finding(
+            Level.REFUSES if is_much else level, FaultName.CLOCK, text, remedy
+        )
     # A low-pass smooths a repeated sample away, but not a wrong time.
     if repeated > few:
         text = (

@@ -397,7 +397,8 @@ class ScaleCorrections:
         reading = torque_reading(fitted.arm, factors)
         after = refit(fitted, reading)
         finding = common_finding(fitted.arm.robot, factor, error, self.evidence)
-        if self.scales.agreed < np.log(ODD):
+        is_small = finding.is_common_factor and self.scales.agreed < np.log(ODD)
+        if is_small:
             finding = replace(finding, level=Level.SAYS)
         return Correction((finding,), gain_between(fitted, after, reading), after)
 
@@ -530,7 +531,7 @@ def unstated_weight(robot: RobotModel) -> str:
     weights = np.array([np.linalg.norm(link.reference[1:4]) for link in robot.links])
     is_stated = [not {MASS, CENTRE} & {*link.placeholders} for link in robot.links]
     is_most = np.sum(weights[is_stated]) > STATED_WEIGHT * np.sum(weights)
-    return "" if is_most else "centres of mass"
+    return "" if is_most or not np.any(weights) else "centres of mass"
 
 
 def weight_of_geometry(text: str, unstated: str) -> Finding:

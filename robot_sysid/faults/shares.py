@@ -11,6 +11,7 @@ Throughout, J is the number of joints with equations.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,15 +89,20 @@ class Shares:
         """
         own = self.is_weighed
         is_there = np.any(own) and np.all(self.weight[own] > LOST)
-        _, error = common_share(self.inertia, self.inertia_covariance)
+        _, error = self.common_inertia
         is_gone = self.most_inertia < NO_INERTIA and INTERVAL * error < LOST
         return bool(is_there and is_gone)
 
     @property
     def most_inertia(self) -> float:
         """The largest share of the links' inertia that the torque may have."""
-        share, error = common_share(self.inertia, self.inertia_covariance)
+        share, error = self.common_inertia
         return share + INTERVAL * error
+
+    @cached_property
+    def common_inertia(self) -> tuple[float, float]:
+        """(Share of the links' inertia that all joints have in common, its error)."""
+        return common_share(self.inertia, self.inertia_covariance)
 
 
 def common_share(shares: Array, covariance: Array) -> tuple[float, float]:
