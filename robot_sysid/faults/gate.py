@@ -33,7 +33,7 @@ from robot_sysid.faults.samples import (
 from robot_sysid.faults.stretches import stretch_findings
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
-from robot_sysid.records.messages import Level, Progress
+from robot_sysid.records.messages import Level, Progress, position_unit
 from robot_sysid.records.option_fields import SCALE as TORQUE_SCALE
 from robot_sysid.records.option_fields import joint_factors
 from robot_sysid.records.usual_errors import SCALE
@@ -47,6 +47,8 @@ from robot_sysid.wording import option_setting
 
 TRYING = "Trying explanations"
 """Label of the progress of the search for faults."""
+SLOWEST = 0.05
+"""Speed that at least one joint of a moving arm reaches [rad/s]."""
 LEAST_ROWS = 26
 """Independent samples of a joint that are needed: two for each of the last link's ten parameters
 and the joint's friction. What they do not show keeps the model's numbers, and its ± are as wide."""
@@ -143,6 +145,7 @@ def judge(
             for each in wrong
             if not each.about.stands_for & StandsFor.LINKS or each.is_common_factor
         ]
+    wrong = wrong or [*slow_findings(robot, recordings)]
     doubtful = [each.about.stands_for & StandsFor.MOMENT for each in [*found, *wrong]]
     if not any(doubtful):
         touched = [each for log in explained.right.recordings for each in log.touched]
@@ -232,6 +235,21 @@ def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
 def refusals(found: Iterable[Finding]) -> list[Finding]:
     """Return the findings that forbid the use of logs."""
     return [finding for finding in found if finding.level is Level.REFUSES]
+
+
+def slow_findings(
+    robot: RobotModel, recordings: Sequence[FilteredRecording]
+) -> Iterator[Finding]:
+    """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
+    speeds = np.concatenate([each.motion.qd for each in recordings])
+    fastest = np.max(np.abs(speeds), axis=0)
+    joint = np.argmax(fastest)
+    if fastest[joint] < SLOWEST:
+        unit = position_unit(robot.is_slide[joint])
+        text = f"no joint moves faster than {fastest[joint]:.2g} {unit}/s"
+        yield Finding(
+            Level.REFUSES, FaultName.TOO_LITTLE, text, "record a faster motion"
+        )
 
 
 def mean_cutoff(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rigs.arms.core_fits import filter_logs, fit_recordings
 from rigs.files.command_line import OUT
 from rigs.logs.measured_logs import log_of, plan_of
 from robot_sysid.faults.columns import fault_columns
+from robot_sysid.faults.gate import slow_findings
 from robot_sysid.faults.table import explanations
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
@@ -91,7 +93,10 @@ def test_explanations_of_a_slide_are_in_its_units(robot):
             assert has_unit_of_hinge
 
 
-def test_doubts_about_a_slide_have_its_units(robot):
+def test_findings_and_doubts_about_a_slide_have_its_units(robot):
+    still = SimpleNamespace(motion=SimpleNamespace(qd=np.array([[0.02, -0.01, 0.0]])))
+    (finding,) = slow_findings(robot, [still])
+    assert finding.text == "no joint moves faster than 0.02 m/s"
     rows = [Quantity("coulomb", "lift", "N", None, 900.0, 0.1)]
     torque = dict.fromkeys(robot.joint_names, 1.0)
     (reason,) = impossible_joints(with_limit(robot), rows, torque)
