@@ -27,12 +27,7 @@ from robot_sysid.faults.misfits import (
     weight_findings,
 )
 from robot_sysid.faults.plausibility import drives, is_of_single_joints
-from robot_sysid.faults.reading_search import (
-    RATIOS,
-    Correction,
-    Evidence,
-    ReadingSearch,
-)
+from robot_sysid.faults.reading_search import Correction, Evidence, ReadingSearch
 from robot_sysid.faults.scales import ScaleCorrections, odd_unit
 from robot_sysid.faults.shares import shares_of
 from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
@@ -115,10 +110,8 @@ def class_findings(fitted: Fit, search: ReadingSearch) -> Iterator[Finding]:
     # Where inertia has gone, the view leaves less than links that have to have some.
     is_less = shares.left < fitted.unexplained_share
     is_alone = shares.is_weight_alone and is_less and not drives(fitted)
-    # Time by another rate leaves that much of it, and degrees hide weight.
-    is_certain = is_alone and shares.most_inertia < RATIOS[-1] ** -2.0
-    is_found = is_alone or shares.has_no_weight
-    if is_certain or (is_found and not search.unit_corrections):
+    # Time that is too short hides inertia, all but for a part, and degrees hide weight.
+    if (is_alone or shares.has_no_weight) and not search.unit_corrections:
         yield weight_alone() if is_alone else external_torque(fitted, shares)
 
 

@@ -45,6 +45,7 @@ from robot_sysid.faults.plausibility import (
     typical_torque,
 )
 from robot_sysid.faults.reading_search import Evidence
+from robot_sysid.faults.samples import ODD_VELOCITY
 from robot_sysid.faults.scales import ScaleCorrections, little_weight
 from robot_sysid.faults.shares import LOST, Shares
 from robot_sysid.faults.table import TIME, WHOLE_CLOCK, at_inertia
@@ -113,11 +114,13 @@ FRICTION_ERRORS = 5.0
 def time_findings(fitted: Fit, evidence: Evidence) -> Iterator[Finding]:
     """Yield the finding that time is too long or too short, by recorded velocities.
 
-    Nothing is yielded where torques do not say so, too: drives filter their velocities.
+    Nothing is yielded where torques rather say that time is right, or hardly anything of an error
+    that is no larger than what filters of drives make of velocities.
     """
     share = evidence.time_share
     value, error = weighed_time(fitted) if share else (0.0, 0.0)
-    if share and abs(value) >= max(SURE * error, abs(value - share)):
+    is_clear = abs(share or 0.0) > ODD_VELOCITY or abs(value) >= SURE * error
+    if share and is_clear and abs(value - share) <= abs(value):
         way = "long" if share > 0.0 else "short"
         yield Finding(
             Level.REFUSES,
