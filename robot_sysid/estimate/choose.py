@@ -124,6 +124,10 @@ def solve_question(
     progress.advance(_LABEL, 0, n_steps, "")
     arm = arm_of(robot, question, speeds, stated, offered)
     start, current = first_fit(arm, recordings, question)
+    # The first fit knows no friction whose drift it could tell from what sticks at turns.
+    n_unjudged = 1 if question.loaded else 0
+    chosen: list[Coupling] = []
+    further: Sequence[Term] = ()
     for number in range(n_rounds):
         progress.advance(_LABEL, 2 * number + 1, n_steps, "")
         start = replace(
@@ -132,22 +136,32 @@ def solve_question(
             correlation=correlation_times(current.split(current.residuals)),
         )
         current = start.fit(
-            problem_from_residuals(replace(current, arm=arm), number == 0)
+            problem_from_residuals(replace(current, arm=arm), number == n_unjudged)
         )
         progress.advance(_LABEL, 2 * number + 2, n_steps, "")
         is_last = number + 1 == n_rounds
         if beside is not None and is_last:
-            arm = arm.beside(beside(current))
+            further = beside(current)
+            arm = arm.beside(further)
         point = current.next_point()
         kept = current.recordings, current.question
         # Sums of a long arm are large: the old ones go before the new ones come.
         del current
         current = start.fit(problem_at(arm, point, *kept, in_blocks=is_last))
-        if number == 0 and offered:
+        if number == n_unjudged and offered:
             # Dry friction that turns round reads as a motor in sums of the rows near turns.
             chosen = choose_motors(current, offered)
             arm = arm_of(robot, question, speeds, (*stated, *chosen))
             current = start.fit(replace(current, arm=arm)) if chosen else current
+    while chosen:
+        # What the fits before did not know yet may have looked like a motor.
+        asked = arm_of(robot, question, speeds, stated, chosen).beside(further)
+        shown = choose_motors(start.fit(replace(current, arm=asked)), chosen)
+        if len(shown) == len(chosen):
+            break
+        chosen = shown
+        arm = arm_of(robot, question, speeds, (*stated, *chosen)).beside(further)
+        current = start.fit(replace(current, arm=arm))
     # A log is judged by what is free: bodies are possible in its answer.
     current = with_links_of(current, start.torque, possible=beside is None)
     progress.advance(_LABEL, n_steps, n_steps, "")
@@ -198,13 +212,13 @@ def first_fit(
     return start, without_contacts(start.fit(problem))
 
 
-def problem_from_residuals(fitted: Fit, is_first: bool) -> Problem:
+def problem_from_residuals(fitted: Fit, judges_turns: bool) -> Problem:
     """Return the question of a fit with the dry friction that it found.
 
-    After the first fit, rows are left out in which a joint sticks at its turn.
+    Rows are left out in which a joint sticks at its turn, once, by a fit that ``judges_turns``.
     """
     question = replace(fitted.question, dry=dry_friction(fitted), is_first=False)
-    recordings = tuple(without_turns(fitted)) if is_first else fitted.recordings
+    recordings = tuple(without_turns(fitted)) if judges_turns else fitted.recordings
     return Problem(fitted.arm, recordings, fitted.point, fitted.sums, question)
 
 

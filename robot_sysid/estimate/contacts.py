@@ -93,17 +93,21 @@ def without_contacts(fitted: Fit) -> Fit:
 def without_turns(fitted: Fit) -> list[FilteredRecording]:
     """Return recordings without the rows in which dry friction has not turned round with a joint.
 
-    A joint whose friction turns round at once keeps its rows, which tell most of friction.
+    A joint whose friction turns round at once keeps its rows, which tell most of friction. All
+    recordings of a joint are judged together: rows that one keeps and another does not would tell a
+    difference between them that is none.
     """
-    recordings = []
-    for recording, own in zip(fitted.recordings, fitted.split(fitted.residuals)):
-        is_used = recording.is_used.copy()
-        zones = [recording.at_turns(travel) for travel in TURN_TRAVELS]
-        for row, joint in enumerate(fitted.arm.indices.tolist()):
-            near = [zone[:, joint] for zone in zones]
-            is_used[:, joint] &= ~contradicted_zone(near, own[:, row])
-        recordings.append(recording.only(is_used))
-    return recordings
+    recordings = fitted.recordings
+    zones = [
+        np.concatenate([recording.at_turns(travel) for recording in recordings])
+        for travel in TURN_TRAVELS
+    ]
+    is_late = np.zeros_like(zones[0])
+    for row, joint in enumerate(fitted.arm.indices.tolist()):
+        near = [zone[:, joint] for zone in zones]
+        is_late[:, joint] = contradicted_zone(near, fitted.residuals[:, row])
+    pairs = zip(recordings, fitted.split(is_late))
+    return [recording.only(~own) for recording, own in pairs]
 
 
 def contradicted_zone(zones: Sequence[Mask], residuals: Array) -> Mask:
