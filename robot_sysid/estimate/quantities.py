@@ -1,7 +1,18 @@
 """From fits to rows: the numbers of bodies, joints, motors, sensors and of the model file.
 
-Shapes: n joints of the chain, J joints with equations; k estimated parameters; a body has ten
-inertial parameters (``PARAMETER_NAMES``).
+Dry, viscous, bending and fading friction trade with one another, so that none of them is known well
+where their sum is: friction at rest is what is left when a curve is drawn on beyond the slowest
+rows. What a log does tell is the line that is nearest to the sum at its own speeds and loads. With
+the columns F of all friction of a joint in its rows, of which L are those of the line, it is
+
+    (L' L)^-1 L' F x,
+
+a combination of the parameters x, whose error follows from their covariance. The line of friction
+that is curved also depends on the speeds that a log happens to have: its error has the jackknife of
+that over blocks (``fit``) as well.
+
+Shapes: n joints of the chain, J joints with equations; k estimated parameters; B blocks; a body has
+ten inertial parameters (``PARAMETER_NAMES``).
 """
 
 from __future__ import annotations
@@ -9,7 +20,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +28,7 @@ from robot_sysid.dynamics.friction import BEND, OFFSET, POLYNOMIAL, ROTOR, TERMS
 from robot_sysid.estimate.choose import fastest_of, speeds_in
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.identifiability import fit_quality, square_root
-from robot_sysid.estimate.restricted_fit import bent_owners
+from robot_sysid.estimate.restricted_fit import bent_owners, straight_of
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
@@ -30,7 +41,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.records import Array, FitQuality, InertialParameters
 from robot_sysid.records.messages import position_unit, torque_unit
-from robot_sysid.records.parameters import INERTIAL
+from robot_sysid.records.parameters import INERTIAL, Parameter
 from robot_sysid.records.quantities import (
     BEYOND,
     BOUND,
@@ -201,44 +212,147 @@ def joint_quantities(fitted: Fit) -> list[Quantity]:
 
 
 def friction_in(fitted: Fit, file: Fit) -> list[Quantity]:
-    """Return friction and rotors of a fit with the friction of its model file: one number each.
+    """Return friction and rotors of joints and motors as the straight file has them, as measured.
 
-    Dry, viscous and fading friction trade with one another, and a file has but some of these. The
-    error of a number is that of the fit of all terms, and how far the file's number is off its
-    number: where the two differ, neither is known better.
+    A file holds few of the terms that friction has, and their numbers are those of the line that is
+    nearest to all of it in the logs (``friction_lines``). Where friction bends in a file beside it,
+    its bend is told as well.
+
+    Args:
+        fitted: the fit of all terms.
+        file: that of the model file.
     """
-    terms = [
-        term
-        for term in fitted.equations.terms
-        if term.cause in _OF_JOINTS or term.key == BEND.name
-    ]
+    lines = friction_lines(fitted, straight_of(file))
+    rows = [_on_line(row, lines) for row in joint_quantities(fitted)]
+    bends = [term for term in fitted.equations.terms if term.key == BEND.name]
     bent = {*bent_owners(file)}
+    rows += [
+        replace(row, name=BEND.name)
+        for row in term_quantities(fitted, bends)
+        if row.of in bent
+    ]
     owners = fitted.arm.owners
-    rows = []
-    for row in term_quantities(fitted, terms):
-        name = row.name.removeprefix(FURTHER)
-        if name == BEND.name and row.of not in bent:
-            continue
-        key = TERMS[name].key_of(row.of)
-        # Offsets and rotors are none of the file's own.
-        if TERMS[name].is_friction and key in file.names:
-            value = file.by_name[key]
-            apart = abs(value - row.value)
-            is_held = key in file.at_bound and math.isnan(row.error or 0.0)
-            # Of a number that the fit holds at its bound, that of the fit without bounds.
-            of_fit = fitted.error_of(key)
-            error = math.nan if is_held else math.hypot(of_fit, apart)
-            source = row.source if is_held or row.source != BOUND else DATA
-            row = replace(row, name=name, value=value, error=error, source=source)
-        rows.append(row)
     return sorted(rows, key=lambda row: owners.index(row.of))
+
+
+def _on_line(row: Quantity, lines: Mapping[str, LineNumber]) -> Quantity:
+    """Return the row of a joint or motor with the number of the line nearest to its friction.
+
+    Rotors and offsets are not on it; what is not on a line is held at its bound.
+    """
+    term = TERMS[row.name]
+    key = term.key_of(row.of)
+    if not term.is_friction:
+        return row
+    if key not in lines:
+        return replace(row, value=max(term.lower, 0.0), error=math.nan, source=BOUND)
+    number = lines[key]
+    reason = max(number.budget, key=lambda cause: number.budget[cause])
+    return replace(
+        row, value=number.value, error=number.error, source=DATA, reason=reason
+    )
+
+
+@dataclass(frozen=True)
+class LineNumber:
+    """A number of the line nearest to the friction of a joint or motor.
+
+    Attributes:
+        value, error: of it, and its standard error [SI].
+        budget: cause to the standard error that it alone makes.
+    """
+
+    value: float
+    error: float
+    budget: Mapping[str, float]
+
+
+def friction_lines(fitted: Fit, file: Fit) -> dict[str, LineNumber]:
+    """Return the names of numbers of the lines nearest to friction to what they are.
+
+    Args:
+        fitted: the fit of all terms.
+        file: that of the model file; what it holds at a bound is on no line.
+    """
+    numbers: dict[str, LineNumber] = {}
+    for owner in fitted.arm.owners:
+        numbers.update(_line_of(fitted, file, owner))
+    return numbers
+
+
+def _line_of(fitted: Fit, file: Fit, owner: str) -> Iterator[tuple[str, LineNumber]]:
+    """Yield the names and numbers of the line nearest to the friction of a joint or motor.
+
+    What would cross its bound on a line is not on it either.
+    """
+    pairs = [*_friction_of(fitted, owner)]
+    names = [parameter.key for _, parameter in pairs]
+    at = fitted.at(names)
+    blocks = _block_products(fitted, names)
+    rows = np.sum(blocks, axis=0)
+    lower = np.array([parameter.lower for _, parameter in pairs])
+    on_line = [
+        number
+        for number, (term, parameter) in enumerate(pairs)
+        if term.cause in _OF_JOINTS and parameter.key not in file.at_bound
+    ]
+    line = _nearest(rows, on_line)
+    while not np.all(is_inside := line @ fitted.values[at] >= lower[on_line]):
+        on_line = [*itertools.compress(on_line, is_inside)]
+        line = _nearest(rows, on_line)
+    combinations = np.zeros((len(on_line), len(fitted.names)))
+    combinations[:, at] = line
+    values = combinations @ fitted.values
+    # The loss of a gear is a share of its load, and has no unit.
+    of_speed = [fitted.by_name[p.key] if p.unit else 0.0 for _, p in pairs]
+    apart = [_nearest(rows - block, on_line) @ of_speed for block in blocks]
+    variances = np.sum((combinations @ fitted.covariance) * combinations, axis=1)
+    variances += (len(apart) - 1.0) * np.var(apart, axis=0)
+    budget = fitted.budget(combinations)
+    for number, place in enumerate(on_line):
+        causes = {cause: float(errors[number]) for cause, errors in budget.items()}
+        error = math.sqrt(max(float(variances[number]), 0.0))
+        yield names[place], LineNumber(float(values[number]), error, causes)
+
+
+def _nearest(products: Array, on_line: Sequence[int]) -> Array:
+    """Return the combinations (l, m) of m columns that are the line of l of them in their rows.
+
+    ``products`` (m, m) are those of the columns.
+    """
+    of_line = products[on_line]
+    return np.asarray(np.linalg.pinv(of_line[:, on_line]) @ of_line)
+
+
+def _friction_of(fitted: Fit, owner: str) -> Iterator[tuple[Term, Parameter]]:
+    """Yield the estimated parameters of friction of a joint or motor, each with its term."""
+    for term in fitted.equations.terms:
+        for parameter in term.parameters:
+            entry = TERMS.get(parameter.name)
+            if parameter.of == owner and entry is not None and entry.is_friction:
+                yield term, parameter
+
+
+def _block_products(fitted: Fit, names: Sequence[str]) -> Array:
+    """Return the products (B, m, m) of named columns in the rows of each block, of all joints."""
+    sums = fitted.sums
+    products = np.zeros((len(sums.logs), len(names), len(names)))
+    wanted = sums.at(names)
+    for columns, (grams, _) in zip(sums.columns, sums.products):
+        places = np.full(len(sums.names) + 1, -1)
+        places[columns] = np.arange(len(columns))
+        of_joint = places[wanted]
+        there = np.flatnonzero(of_joint >= 0)
+        at = of_joint[there]
+        products[:, there[:, None], there] += grams[:, at[:, None], at]
+    return products
 
 
 def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
     """Yield the friction of each joint and motor that bends in a file, at three speeds.
 
     Its error is that of the sum of all terms of friction in the fit of all terms, whose parts trade
-    with one another; and how far the file is off that sum.
+    with one another.
     """
     arm = fitted.arm
     robot = arm.robot
@@ -250,11 +364,10 @@ def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
         known_to = float(fastest_of(speeds, ratios[owner][None])[0])
         of_speeds = known_to * np.array(CURVE_SHARES)
         columns = friction_columns(arm, owner, of_speeds, loads.get(owner, 0.0))
-        model, of_fit, written = (
-            friction_sum(columns, values)
-            for values in (arm.model, fitted.by_name, file.by_name)
+        model, of_fit = (
+            friction_sum(columns, values) for values in (arm.model, fitted.by_name)
         )
-        errors = np.hypot(friction_errors(fitted, columns), written - of_fit)
+        errors = friction_errors(fitted, columns)
         is_slide = owner in robot.slides
         yield FrictionCurve(
             of=owner,
@@ -263,7 +376,7 @@ def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:
             known_to=known_to,
             speeds=tuple(of_speeds.tolist()),
             model=tuple(model.tolist()),
-            torque=tuple(written.tolist()),
+            torque=tuple(of_fit.tolist()),
             errors=tuple(errors.tolist()),
         )
 
