@@ -44,11 +44,15 @@ from robot_sysid.model.dry_friction import (
     friction_notes,
     refuse_late_yield,
 )
-from robot_sysid.model.stated import placeholder_notes, with_references
+from robot_sysid.model.stated import (
+    placeholder_notes,
+    with_references,
+    with_stated_links,
+)
 from robot_sysid.model.ties import refuse_tied_joints
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.model.unstated import lacks_masses, with_bodies_of_geometry
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
 from robot_sysid.records.messages import LeastMassGiven
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
@@ -71,6 +75,7 @@ def load_robot_model(
     gravity: Sequence[float] | Array | None = None,
     first_joint: str | None = None,
     fix_base: bool = False,
+    as_stated: bool = False,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
 
@@ -89,6 +94,9 @@ def load_robot_model(
             the file says. How large it is, the file says.
         first_joint: name of the arm's first joint, where those before it stand still.
         fix_base: whether the base that a free joint carries stands still.
+        as_stated: whether the masses that the file has are those of the arm, whatever they are, as
+            in a simulation of the model; default they are placeholders where all links have one
+            number, and bodies of the links' geometry stand for them.
 
     Raises:
         ModelError: the file cannot be used; says why.
@@ -115,21 +123,32 @@ def load_robot_model(
     if keyframe_id is not None:
         qpos[:] = mj_model.key_qpos[keyframe_id]
     path = Path("model" if is_in_memory(model) else model)
-    robot = _arm_of(compiled, chain, path, qpos, max_velocity)
+    of_file = _arm_of(compiled, chain, path, qpos, max_velocity)
+    massless = compiled.massless
+    robot = of_file
     # Who states a factor says that there are masses.
-    is_guessed = mass_scale is None and lacks_masses(robot, compiled.massless)
+    is_guessed = mass_scale is None and lacks_masses(of_file, massless)
     if total_mass is not None or is_guessed:
         drawn = compile_as_drawn(model, mesh_dir)
-        robot = with_bodies_of_geometry(robot, compiled.massless, drawn, total_mass)
+        robot = with_bodies_of_geometry(of_file, massless, drawn, total_mass)
     robot = with_mass_scale(robot, *factor_with_error(mass_scale))
     refuse_cad_units(robot)
+    links = robot.links
+    if as_stated and total_mass is None:
+        if is_guessed:
+            robot = of_file
+            if lacks_masses(of_file, massless, as_stated):
+                robot = with_bodies_of_geometry(
+                    of_file, massless, drawn, as_stated=True
+                )
+        robot = with_stated_links(robot)
     if gravity is not None:
         robot = with_gravity(robot, _turned_gravity(robot, gravity))
     notes = (
         *_notes_on_file(robot),
         *_notes_on_options(mass_scale, gravity),
         *_notes_on_choices(robot, joint is None, keyframe_id),
-        *_notes_on_masses(robot, total_mass),
+        *_notes_on_masses(robot, links, total_mass, as_stated),
         *_notes_on_what_is_left_out(robot),
     )
     return replace(robot, notes=notes)
@@ -207,12 +226,28 @@ def _notes_on_file(robot: RobotModel) -> Iterator[str]:
             yield note
 
 
-def _notes_on_masses(robot: RobotModel, total_mass: float | None) -> Iterator[str]:
-    """Yield sentences on what the model does not state of its links."""
+def _notes_on_masses(
+    robot: RobotModel,
+    links: Sequence[ArmLink],
+    total_mass: float | None,
+    as_stated: bool,
+) -> Iterator[str]:
+    """Yield sentences on what the model does not state of its links.
+
+    Args:
+        robot: the arm.
+        links: its links as logs take them, with their placeholders.
+        total_mass: of the arm, if the user states it [kg].
+        as_stated: whether the placeholders are taken as the model has them.
+    """
     if not robot.lacks_masses:
-        yield from placeholder_notes(robot.links)
+        yield from placeholder_notes(links, as_stated)
         return
-    stand = "bodies of the links' geometry stand for the model's masses"
+    guessed = [link for link in robot.links if len(link.placeholders) == len(KINDS)]
+    owner = "the model's masses"
+    if len(guessed) < sum(link.has_mass for link in robot.links):
+        owner = f"the masses of {', '.join(link.body_name for link in guessed)}"
+    stand = f"bodies of the links' geometry stand for {owner}"
     errors = "each with an error as large as itself"
     if total_mass is not None:
         yield f"{stand}, {robot.mass:.3g} kg of the arm's {total_mass:g} kg, {errors}"

@@ -21,7 +21,14 @@ import numpy as np
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.model.bodies import pose_in
-from robot_sysid.records import KINDS, ArmLink, Array, InertialParameters, SubtreeBody
+from robot_sysid.records import (
+    KINDS,
+    ArmLink,
+    Array,
+    InertialParameters,
+    RobotModel,
+    SubtreeBody,
+)
 from robot_sysid.records.usual_errors import LEAST_SIZE, LEAST_SIZE_SHARE
 from robot_sysid.spatial import ROD, ROD_MOMENT
 
@@ -190,26 +197,48 @@ def shape_of(mj_model: Any, data: Any, bodies: Sequence[SubtreeBody]) -> Shape |
     return Shape(float(volume), centre, inertia / volume)
 
 
-def placeholder_notes(links: Sequence[ArmLink]) -> Iterator[str]:
-    """Yield sentences on what a model does not state of its links but the last, or has wrong."""
-    instead = "a body of the link's geometry stands for each, with an error as large as itself"
-    unknown: list[str] = []
-    odd: list[str] = []
-    for kind in KINDS:
-        for phrases, is_odd in ((unknown, False), (odd, True)):
-            names = [
-                link.body_name
-                for link in links[:-1]
-                if kind in link.placeholders and (kind in link.odd) == is_odd
-            ]
-            if names:
-                phrases.append(f"the {kind} of {', '.join(names)}")
+def with_stated_links(robot: RobotModel) -> RobotModel:
+    """Return an arm whose links are taken as the model has them, placeholders too."""
+    links = tuple(replace(link, reference=link.theta) for link in robot.links)
+    return replace(robot, links=links)
+
+
+def placeholder_notes(
+    links: Sequence[ArmLink], as_stated: bool = False
+) -> Iterator[str]:
+    """Yield sentences on what a model does not state of its links, or has wrong.
+
+    The last link's numbers follow from a log. They do not matter there, but to the simulation that
+    takes placeholders as the model has them (``as_stated``).
+    """
+    body = "a body of the link's geometry stands for each, with an error as large as itself"
+    unstated = f"not known, so {body}"
+    wrong = f"so {body}"
+    named = links[:-1]
+    if as_stated:
+        unstated = f"taken as the model has them here; with a log {body}"
+        wrong = f"taken as it is here; with a log {body}"
+        named = links
+    unknown = _listed_kinds(named, is_odd=False)
+    odd = _listed_kinds(named, is_odd=True)
     if unknown:
-        yield (
-            f"the model has placeholders for {'; '.join(unknown)}: not known, so {instead}"
-        )
+        yield f"the model has placeholders for {unknown}: {unstated}"
     if odd:
         yield (
-            f"{'; '.join(odd)} in the model is probably wrong: no link of its size and mass has "
-            f"such a number, so {instead}"
+            f"{odd} in the model is probably wrong: no link of its size and mass has "
+            f"such a number, {wrong}"
         )
+
+
+def _listed_kinds(links: Sequence[ArmLink], is_odd: bool) -> str:
+    """Return which kinds of number are placeholders, or odd ones, and of which links."""
+    kinds = defaultdict(list)
+    for kind in KINDS:
+        names = [
+            link.body_name
+            for link in links
+            if kind in link.placeholders and (kind in link.odd) == is_odd
+        ]
+        if names:
+            kinds[", ".join(names)].append(kind)
+    return "; ".join(f"the {', '.join(own)} of {names}" for names, own in kinds.items())

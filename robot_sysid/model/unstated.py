@@ -58,12 +58,17 @@ LEAST_BODY = spatial.theta_from_com(1e-6, np.zeros(3), 1e-9 * np.eye(3))
 """Parameters (10,) of a body without shapes that moves by itself, which MuJoCo wants to weigh."""
 
 
-def lacks_masses(robot: RobotModel, massless: Collection[str]) -> bool:
+def lacks_masses(
+    robot: RobotModel, massless: Collection[str], as_stated: bool = False
+) -> bool:
     """Return whether a model states no mass of more than half of its arm's links.
 
-    ``massless``: names of bodies of which its file states none.
+    Args:
+        robot: the arm as its file states it.
+        massless: names of bodies of which its file states none.
+        as_stated: whether any number that the file has counts as a mass.
     """
-    unstated = _unstated_links(robot, massless)
+    unstated = _unstated_links(robot, massless, as_stated)
     return 2 * len(unstated) > sum(link.has_mass for link in robot.links)
 
 
@@ -72,6 +77,7 @@ def with_bodies_of_geometry(
     massless: Collection[str],
     drawn: Any = None,
     total_mass: float | None = None,
+    as_stated: bool = False,
 ) -> RobotModel:
     """Return an arm with bodies of the links' geometry for those of which it states no mass.
 
@@ -83,12 +89,13 @@ def with_bodies_of_geometry(
         drawn: the compiled model with more shapes, from which bodies follow; None for its own.
         total_mass: mass of the arm with the base that it stands on [kg]; None for what arms of its
             size have.
+        as_stated: as of ``lacks_masses``.
 
     Raises:
         InputError: links that state their mass are heavier than the arm.
     """
-    unstated = _unstated_links(robot, massless)
-    if not lacks_masses(robot, massless):
+    unstated = _unstated_links(robot, massless, as_stated)
+    if not lacks_masses(robot, massless, as_stated):
         unstated = [k for k, link in enumerate(robot.links) if link.has_mass]
     shown = replace(robot, mj_model=drawn or robot.mj_model)
     shapes = _shapes_of(shown, unstated)
@@ -115,27 +122,38 @@ def with_bodies_of_geometry(
     )
 
 
-def _unstated_links(robot: RobotModel, massless: Collection[str]) -> list[int]:
+def _unstated_links(
+    robot: RobotModel, massless: Collection[str], as_stated: bool
+) -> list[int]:
     """Return the indices of links none of whose bodies states a mass.
 
-    Nor do masses that were copied, or that most bodies have and no arm: foam, or lead.
+    Nor do masses that were copied, or that most bodies have and no arm: foam, or lead; where any
+    number counts as a mass (``as_stated``), these do.
     """
-    copied = copied_kinds(robot.links)
     bodies = [b for link in robot.links for b in link.bodies if b.theta[0] > 0.0]
     unstated = {b.body_id for b in bodies if b.name in massless}
-    if len(copied) >= ALIKE:
-        unstated |= {body for body, kinds in copied.items() if MASS in kinds}
-    counts = Counter(b.theta[0] for b in bodies)
-    for mass, count in counts.most_common(1):
-        is_usual = count >= ALIKE and 2 * count > len(bodies)
-        if is_usual and mass_unit(robot) != 1.0:
-            unstated |= {b.body_id for b in bodies if b.theta[0] == mass}
+    if not as_stated:
+        unstated |= _placeholder_masses(robot, bodies)
     return [
         index
         for index, link in enumerate(robot.links)
         if link.has_mass
         and all(b.body_id in unstated for b in link.bodies if b.theta[0] > 0.0)
     ]
+
+
+def _placeholder_masses(robot: RobotModel, bodies: Sequence[SubtreeBody]) -> set[int]:
+    """Return the ids of bodies whose masses were copied, or are one number that no arm has."""
+    placeholders: set[int] = set()
+    copied = copied_kinds(robot.links)
+    if len(copied) >= ALIKE:
+        placeholders |= {body for body, kinds in copied.items() if MASS in kinds}
+    counts = Counter(b.theta[0] for b in bodies)
+    for mass, count in counts.most_common(1):
+        is_usual = count >= ALIKE and 2 * count > len(bodies)
+        if is_usual and mass_unit(robot) != 1.0:
+            placeholders |= {b.body_id for b in bodies if b.theta[0] == mass}
+    return placeholders
 
 
 def _shapes_of(robot: RobotModel, unstated: Sequence[int]) -> dict[int, Shape]:

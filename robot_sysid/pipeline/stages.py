@@ -87,6 +87,9 @@ def run(config: Config, progress: Progress | None = None) -> Written:
 def load_arm(config: Config, progress: Progress) -> RobotModel:
     """Load the model, find its terminal joint, and report both.
 
+    A self-test simulates and identifies the model's own numbers. What stands for placeholders is
+    for logs, and for plants in place of them.
+
     Args:
         config: names the model file, and a limit of speed if there is a motion.
         progress: receives stages and notes.
@@ -99,6 +102,8 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
     options = given_values(model)
     if isinstance(config, MotionConfig):
         options["max_velocity"] = config.limits.max_velocity
+    if isinstance(config, SelfTestConfig) and config.arm.plant_model is None:
+        options["as_stated"] = True
     robot = load_robot_model(model.path, **options)
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     progress.note(*robot.notes)

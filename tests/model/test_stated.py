@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from rigs.arms.small_arms import compile_xml, robot_of
 from rigs.files import urdf
 from rigs.files.places import MODELS
 from rigs.files.refusals import refused
 from rigs.files.releases import since
-from robot_sysid import spatial
+from robot_sysid import self_test, spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import KINDS
@@ -63,6 +64,21 @@ def test_what_is_not_stated_is_found_by_kind_and_named_once(tmp_path_factory, dr
         assert bool(expected) == any(link.body_name in note for note in notes)
         if not expected:
             assert link.reference is link.theta or np.all(link.reference == link.theta)
+
+
+def test_a_self_test_takes_placeholders_as_the_model_has_them(tmp_path):
+    """Also what its data does not show of the last link, the one that is identified."""
+    last = len(MASSES) - 1
+    path = arm(tmp_path, {(last, INERTIA), (1, CENTRE)}).path
+    log, simulated = (load_robot_model(path, as_stated=each) for each in (False, True))
+    assert not any(f"link{last}" in note for note in log.notes)
+    (note,) = [note for note in simulated.notes if f"link{last}" in note]
+    assert "with a log a body" in note
+    for link, same in zip(log.links, simulated.links):
+        assert_array_equal(same.reference, same.theta)
+        assert_array_equal(same.theta, link.theta)
+    result = self_test(path, duration=3.0, seed=1)
+    assert result.total.theta == pytest.approx(log.links[-1].theta, abs=1e-8)
 
 
 @given(st.integers(0, len(MASSES) - 2), st.sampled_from(KINDS))

@@ -9,7 +9,7 @@ import pytest
 
 from rigs.files import urdf
 from rigs.files.refusals import refused
-from robot_sysid import spatial
+from robot_sysid import self_test, spatial
 from robot_sysid.damiao.safety.holding import refuse_guessed_masses
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import body_theta
@@ -99,6 +99,31 @@ def test_what_the_file_states_is_kept_for_its_writer(tmp_path):
     assert not stated.lacks_masses
     for link in stated.links:
         assert body_theta(stated.mj_model, link.body_id)[0] == 1.0
+
+
+@pytest.mark.parametrize("number", [*SAME.values()][:3], ids=[*SAME][:3])
+def test_a_self_test_takes_the_numbers_that_the_file_has(tmp_path, number):
+    """Bodies of the geometry are for logs; the output says of which links."""
+    result = self_test(arm(tmp_path, urdf.inertial(**number)), duration=3.0, seed=1)
+    mass = float(number["mass"])
+    assert result.robot.thetas[:, 0] == pytest.approx(mass)
+    assert result.total.mass == pytest.approx(mass, rel=1e-6)
+    (note,) = [note for note in result.robot.notes if "geometry" in note]
+    assert f"mass, centre of mass, inertia of {', '.join(NAMES)}" in note
+    assert "with a log a body" in note
+    written = result.save(tmp_path / "found")
+    (file,) = [path for path in written if path.suffix == ".urdf"]
+    masses = re.findall(r'<mass value="(.*?)"', file.read_text())
+    assert [float(value) for value in masses] == pytest.approx([mass] * len(NAMES))
+
+
+def test_a_self_test_has_bodies_of_the_geometry_where_the_file_has_no_number(tmp_path):
+    path = arm(tmp_path, changed=("l4",))
+    result = self_test(path, duration=3.0, seed=1)
+    assert result.robot.lacks_masses
+    assert result.total.mass == pytest.approx(2.0, rel=1e-6)
+    (note,) = [note for note in result.robot.notes if "geometry" in note]
+    assert "the masses of l1, l2, l3, " in note
 
 
 @pytest.mark.parametrize("shape", ["", "collision"])
