@@ -1,23 +1,41 @@
 """How far a fit may be trusted, in numbers: what it leaves unexplained, which friction it misses,
-which links of the model it contradicts, and where a file is worse than the model.
+which links of the model it contradicts, where a file is worse than the model, and how far noise of
+positions makes what accelerations show too small.
 
 "Independent samples" are those that count after the autocorrelation of residuals.
+
+Accelerations of positions with noise have noise of their own, so that the columns A of what has
+inertia have noise D. It adds to A'W A and not to A'W b, so that least squares divides by too much
+(errors in variables; Fuller, "Measurement Error Models", 1987, ch. 1):
+
+    E[x] - x = -(A'W A + P - E[D'W D])^-1 E[D'W t],    t = D x of all inertia, what is held too.
+
+These products follow from the noise of each joint's acceleration and from the inertia that it
+moves, in the poses of the rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import ROTOR
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import is_clearly_lower, validation
+from robot_sysid.estimate.identifiability import ROUNDING
 from robot_sysid.estimate.questions import NEGLIGIBLE
-from robot_sysid.records import ModelErrors, Validation
+from robot_sysid.estimate.rows import Rows
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, MOTORS, PAYLOAD, Term
+from robot_sysid.records import Array, ModelErrors, Motion, Validation
 from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.parameters import Parameter
 from robot_sysid.records.quantities import BodyEstimate
+from robot_sysid.signals.filters import LowPass
+from robot_sysid.signals.process import FilteredRecording
 
 WHITE = 0.5
 """Share of independent samples from which a residual is noise: of white noise 0.6 to 1 of the
@@ -30,6 +48,11 @@ ODD_RATIO = 10.0
 WRONG_MOMENT = 0.1
 """Least share by which a link's first moment is off the model's, to be named: what is nearer makes
 little torque, however clearly it shows."""
+INSTANTS = 100
+"""Most rows of a recording at which inertias are computed: they change with the pose alone."""
+LEAST_REST = 0.5
+"""Least share of a direction's products that counts as motion: of one that noise alone shows, the
+bias is as large as what is found."""
 
 
 def misfit_ratio(fitted: Fit, test: Validation) -> float:
@@ -96,12 +119,16 @@ class MissedFriction(NamedTuple):
         terms: names of the terms.
         error: held-out torque error of the fit, over the torque.
         error_with_terms: the one with the terms.
+        moved: the number that the terms move most, in its standard errors.
+        change: by which it is off without them, and the change's standard error.
     """
 
     joints: tuple[str, ...]
     terms: tuple[str, ...]
     error: float
     error_with_terms: float
+    moved: Parameter
+    change: tuple[float, float]
 
 
 def missed_friction(fitted: Fit) -> MissedFriction | None:
@@ -128,7 +155,26 @@ def missed_friction(fitted: Fit) -> MissedFriction | None:
     error, error_with_terms = (
         validation(each).relative_error or 0.0 for each in (fitted, complete)
     )
-    return MissedFriction(tuple(joints), tuple(left_out), error, error_with_terms)
+    moved, change = _most_moved(fitted, complete)
+    return MissedFriction(
+        tuple(joints), tuple(left_out), error, error_with_terms, moved, change
+    )
+
+
+def _most_moved(fitted: Fit, complete: Fit) -> tuple[Parameter, tuple[float, float]]:
+    """Return the number of the last link or a joint that further terms move most, and by how much.
+
+    Both fits are of the same rows: what counts is the change in standard errors of the number.
+    """
+    moves = []
+    for term in fitted.equations.terms:
+        for parameter in term.parameters if term.cause in (LAST_LINK, FRICTION) else ():
+            name = parameter.key
+            change = fitted.by_name[name] - complete.by_name[name]
+            error = complete.error_of(name)
+            moves.append((abs(change) / max(error, 1e-300), parameter, (change, error)))
+    _, parameter, moved = max(moves, key=lambda move: move[0])
+    return parameter, moved
 
 
 class WrongMoment(NamedTuple):
@@ -180,3 +226,92 @@ def worse_joints(errors: ModelErrors) -> Iterator[tuple[str, float, float]]:
             continue
         if is_clearly_lower(before, after):
             yield joint, old, new
+
+
+def acceleration_bias(fitted: Fit) -> Array:
+    """Return by how much noise of accelerations shifts the estimate (k,).
+
+    It is zero of recordings whose cut-off was given, of which the noise is not estimated, and of
+    what is held at a bound or does not show.
+    """
+    size = len(fitted.names)
+    products = np.zeros((size, size))
+    gradient = np.zeros(size)
+    for recording in fitted.recordings:
+        if np.any(recording.acceleration_noise):
+            for columns, torque in _noise_rows(fitted, recording):
+                products += columns.T @ columns
+                gradient += torque @ columns
+    bias = np.zeros(size)
+    at = np.flatnonzero(fitted.is_free & ~fitted.is_hidden)
+    normal = fitted.normal[np.ix_(at, at)]
+    # In the directions in which all rows have a product of one.
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    squares, directions = np.linalg.eigh(scale[:, None] * normal * scale)
+    is_seen = squares > ROUNDING * squares[-1]
+    whitened = directions[:, is_seen] / np.sqrt(squares[is_seen]) * scale[:, None]
+    shares, turned = np.linalg.eigh(whitened.T @ products[np.ix_(at, at)] @ whitened)
+    whitened = whitened @ turned
+    rest = np.maximum(1.0 - shares, LEAST_REST)
+    bias[at] = -whitened @ (whitened.T @ gradient[at] / rest)
+    return bias
+
+
+def _noise_rows(
+    fitted: Fit, recording: FilteredRecording
+) -> Iterator[tuple[Array, Array]]:
+    """Yield weighted rows (m, k) of noise of each joint's acceleration, and its torque (m,)."""
+    is_used = recording.is_used[:, fitted.arm.indices]
+    every = max(1, len(recording) // INSTANTS)
+    chosen = is_used[::every]
+    q = recording.motion.q[::every]
+    time = recording.motion.time[::every]
+    # Each instant stands for rows of the joint around it.
+    counts = np.sum(is_used, axis=0) / np.maximum(np.sum(chosen, axis=0), 1)
+    weights = np.ravel(fitted.weights * np.sqrt(counts) * chosen)
+    still = np.zeros_like(q)
+    for joint, deviation in enumerate(recording.acceleration_noise):
+        accelerations = still.copy()
+        accelerations[:, joint] = deviation
+        motion = Motion(time, q, still, accelerations)
+        columns, torque = _inertial_rows(fitted, motion, recording.is_loaded)
+        yield (
+            weights[:, None] * columns.reshape(-1, columns.shape[-1]),
+            weights * np.ravel(torque),
+        )
+
+
+def _inertial_rows(fitted: Fit, motion: Motion, is_loaded: bool) -> tuple[Array, Array]:
+    """Return the columns (m, J, k), and the torque (m, J), of all inertia in a motion."""
+    unfiltered = LowPass(np.inf, np.inf, np.ones(1), 1)
+    tau = np.zeros_like(motion.q)
+    exact = FilteredRecording.exact(motion, tau, unfiltered, is_loaded=is_loaded)
+    rows = Rows(exact, slice(None))
+    point = replace(fitted.point, gravity=np.zeros(3))
+    joints = len(fitted.arm.indices)
+    columns = np.zeros((len(motion.time), joints, len(fitted.names)))
+    torque = np.zeros(columns.shape[:2])
+    places = {name: place for place, name in enumerate(fitted.names)}
+    for term in fitted.arm.terms.values():
+        if term.cause in (LAST_LINK, LINKS, PAYLOAD, MOTORS) or is_rotor(term):
+            of_term = term.columns(rows, point)
+            torque += of_term @ np.array([fitted.by_name[n] for n in term.names])
+            kept = [k for k, name in enumerate(term.names) if name in places]
+            at = [places[term.names[k]] for k in kept]
+            columns[..., at] = of_term[..., kept]
+    return columns, torque
+
+
+def is_rotor(term: Term) -> bool:
+    """Return whether a term is that of the joints' rotors."""
+    return term.cause == FRICTION and term.parameters[0].name == ROTOR.name
+
+
+def rotor_biases(fitted: Fit) -> Iterator[tuple[Parameter, float, float]]:
+    """Yield each joint's rotor, its bias by noise of accelerations, and its standard error."""
+    bias = acceleration_bias(fitted)
+    for term, span in fitted.equations.spans:
+        if is_rotor(term):
+            of_term = zip(term.parameters, bias[span], fitted.errors[span])
+            for parameter, shift, error in of_term:
+                yield parameter, float(shift), float(error)

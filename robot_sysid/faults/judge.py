@@ -214,6 +214,9 @@ class Score:
         words["value"] = with_error(size * abs(self.value), size * error, unit)
         # Values of other faults, which do not show it, may be below -1.
         words["inverse"] = f"{max(1.0 + self.value, 1e-9) ** -0.5:.3g}"
+        describe = explanation.fault.describe
+        if describe is not None:
+            words["values"] = describe(self.fitted, self.offer)
         return with_option_names(template, {**words, **explanation.words})
 
 

@@ -145,6 +145,12 @@ def clock_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
     if lost > max(few, NOISE_OVER_EXCESS * uneven):
         text = f"{percent(lost)} of the steps have lost samples that the time stamps do not show"
         is_much = lost > MUCH and not is_uneven
+        if not is_much:
+            # All speeds are too fast by that share, and accelerations by twice as much.
+            text += (
+                f": viscous friction comes out too small by about {percent(lost)}, rotors and "
+                f"inertias by {percent(2.0 * lost)} or more"
+            )
         yield Finding(
             Level.REFUSES if is_much else level, FaultName.CLOCK, text, remedy
         )
@@ -268,7 +274,8 @@ def saturation_findings(
                 unit = torque_unit(name in robot.slides)
                 text = (
                     f"the torque of joint {name} is exactly {end:.4g} {unit}, the end of its "
-                    f"range, in {share} of the samples: the sensor saturates"
+                    f"range, in {share} of the samples: the sensor saturates, and what that joint "
+                    "carries, its friction and its rotor come out too small"
                 )
                 yield Finding(
                     Level.DOUBTS,
@@ -306,11 +313,14 @@ def rate_findings(robot: RobotModel, pieces: Sequence[Recording]) -> Iterator[Fi
         length = sampling_period(pieces[0].time) * np.max(held)
         if np.max(held) > 1 and length > LONGEST_HELD:
             names = ", ".join(compress(robot.joint_names, held == np.max(held)))
+            # A reading is new in its first sample, and nearly as old as the next in its last.
+            late = 0.5e3 * length * (1.0 - 1.0 / np.max(held))
             yield Finding(
                 Level.DOUBTS,
                 FaultName.HELD,
                 f"the {word} of {names} is new in every {np.max(held)}. sample only, "
-                f"{1.0 / length:.3g} times a second: the others repeat it, while the arm moves on",
+                f"{1.0 / length:.3g} times a second: the others repeat it, while the arm moves on, "
+                f"so that it is {late:.2g} ms late in the mean",
                 "record positions and torques as often as each other, or keep only the rows in "
                 "which both are new",
             )

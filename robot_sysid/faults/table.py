@@ -23,7 +23,7 @@ import numpy as np
 from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.offers import Effect
+from robot_sysid.estimate.offers import Effect, Offer
 from robot_sysid.estimate.terms import SCALES
 from robot_sysid.faults.columns import (
     ECCENTRIC_SPRING,
@@ -38,7 +38,8 @@ from robot_sysid.faults.columns import (
 from robot_sysid.faults.plausibility import typical_torque
 from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName, StandsFor
-from robot_sysid.records.messages import Level, position_unit, torque_unit
+from robot_sysid.records.levels import SURE
+from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
 from robot_sysid.records.parameters import DELAY, SCALE, ZERO
 from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale
 
@@ -69,8 +70,8 @@ class Fault:
     In text and remedy, ``{value}`` stands for the size of the number with its standard error,
     ``{inverse}`` for 1 / sqrt(1 + value), by which time has to be multiplied where inertial torque
     is off by the value, and ``{joint}`` and the like for words of its place. A word of
-    ``judge.BY_SIGN``, such as ``{more}``, becomes its opposite where the number is negative. Any
-    other field is the name of an option.
+    ``judge.BY_SIGN``, such as ``{more}``, becomes its opposite where the number is negative.
+    ``{values}`` is what ``describe`` says. Any other field is the name of an option.
 
     Attributes:
         name: of its findings.
@@ -82,7 +83,7 @@ class Fault:
         level: level of the finding, where a result without the fault would be wrong.
         sizes: least and largest number that exists.
         is_norm: whether the number is the Euclidean norm of the first three values, not the first.
-        has_number: whether a single number says it; else all its values count.
+        describe: returns what all its values say, where no single number does; then all count.
         factor: the number is the value times it.
         is_of_any_log: whether it may be in one of several logs alone.
     """
@@ -96,9 +97,14 @@ class Fault:
     level: Level = Level.DOUBTS
     sizes: tuple[float, float] = (-np.inf, np.inf)
     is_norm: bool = False
-    has_number: bool = True
+    describe: Callable[[Fit, Offer], str] | None = None
     factor: float = 1.0
     is_of_any_log: bool = True
+
+    @property
+    def has_number(self) -> bool:
+        """Whether a single number says it."""
+        return self.describe is None
 
 
 @dataclass(frozen=True)
@@ -353,6 +359,39 @@ def friction_change(
     yield Explanation(fault, effect(names, spread, None, shares))
 
 
+def friction_changes(fitted: Fit, offer: Offer) -> str:
+    """Return by which share the friction of joints changes: of those that clearly do, or of most.
+
+    It is that of the torque of dry and viscous friction, which trade with one another: with values
+    f and their change v in columns whose products are G, f'G v / f'G f.
+    """
+    sums = fitted.sums
+    # With the change beside it, friction is that of the middle, or of the other logs.
+    friction = {**fitted.by_name}
+    for key, change in zip(fitted.names, offer.change.tolist()):
+        friction[key] += change
+    changes = []
+    for joint, (name, columns) in enumerate(zip(fitted.arm.joints, sums.columns)):
+        keys = [fitted.arm.terms[key].names[joint] for key in DRY_AND_VISCOUS]
+        places = [*columns.tolist()]
+        own = [places.index(at) for at in sums.at(keys) if at in places]
+        found = np.array([friction[sums.names[places[k]]] for k in own])
+        at = [offer.effect.names.index(sums.names[places[k]]) for k in own]
+        weights = sums.totals[joint][np.ix_(own, own)] @ found
+        size = float(found @ weights)
+        if size > 0.0:
+            weights = weights / size
+            share = float(weights @ offer.values[at])
+            error = float(np.sqrt(weights @ offer.covariance[np.ix_(at, at)] @ weights))
+            changes.append((share, error, name))
+    changes.sort(key=lambda change: -abs(change[0]) / max(change[1], 1e-300))
+    clear = [each for each in changes if abs(each[0]) >= SURE * each[1]]
+    return ", ".join(
+        f"{with_error(100.0 * share, 100.0 * error, '%')} at {name}"
+        for share, error, name in clear or changes[:1]
+    )
+
+
 def starts(fitted: Fit) -> Iterator[Array]:
     """Yield the blocks (B,) from each one on to the end of its log, one after the other."""
     logs = fitted.sums.logs
@@ -570,21 +609,22 @@ FAULTS = (
     ),
     Fault(
         FaultName.FRICTION,
-        "friction changes over the log",
+        "friction changes over the log ({values}): what is found is that of its middle, off by "
+        "half of this at both ends",
         "let the arm warm up before it is recorded",
         of_changing_friction,
         0.6,
         level=Level.SAYS,
-        has_number=False,
+        describe=friction_changes,
     ),
     Fault(
         FaultName.FRICTION,
-        "friction is not that of the other logs",
+        "friction is not that of the other logs ({values}): what is found lies between them",
         "let the arm warm up before it is recorded",
         of_other_friction,
         0.6,
         level=Level.SAYS,
-        has_number=False,
+        describe=friction_changes,
     ),
     Fault(
         FaultName.PAYLOAD_STEP,

@@ -21,7 +21,7 @@ from robot_sysid.estimate.quantities import quantity
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.restricted_fit import error_without_rotors, gravity_in
 from robot_sysid.estimate.terms import SCALES, ZEROS
-from robot_sysid.estimate.trust import wrong_moment
+from robot_sysid.estimate.trust import rotor_biases, wrong_moment
 from robot_sysid.records import InertialParameters
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
@@ -52,16 +52,32 @@ def link_notes(fitted: Fit) -> Iterator[str]:
     """Yield sentences on coarse positions, the bodies of the last link, and unexplained torque."""
     error = max(recording.acceleration_error for recording in fitted.recordings)
     if error > COARSE:
-        yield (
-            "the positions are too coarse or too seldom to have accelerations (expected error "
-            f"{percent(error)}): rotors and inertias come out too small"
-        )
+        yield from _coarse_notes(fitted, error)
     robot = fitted.arm.robot
     bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
     if len(bodies) > 1:
         yield f"the numbers of {robot.body_name} are those of {' + '.join(bodies)} together"
     if WELL_EXPLAINED < fitted.unexplained_share <= UNEXPLAINED:
         yield unexplained_torque(fitted)
+
+
+def _coarse_notes(fitted: Fit, error: float) -> Iterator[str]:
+    """Yield a sentence on rotors that noise of accelerations makes clearly too small.
+
+    ``error`` is the expected one of accelerations, over them. Motion above the cut-off, which
+    accelerations and torques both lose, makes no rotor smaller.
+    """
+    phrases = [
+        f"{-bias:.2g} ± {own:.2g} {rotor.unit} at {rotor.of}"
+        for rotor, bias, own in rotor_biases(fitted)
+        if -bias > own
+    ]
+    if phrases:
+        yield (
+            f"the positions are too coarse for accelerations (expected error {percent(error)}): "
+            f"rotor inertia comes out too small, by about {', by about '.join(phrases)}, which no "
+            "other ± has in it; inertias of links likewise"
+        )
 
 
 def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str]:

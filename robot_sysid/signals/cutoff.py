@@ -75,11 +75,14 @@ class CutoffChoice(NamedTuple):
             mean square.
         noise_share: root mean square of the acceleration's noise over all frequencies, over that
             of the motion's acceleration.
+        joint_noise: (n,) mean square noise of each joint's acceleration behind the low-pass, over
+            the mean square of the acceleration of all joints.
     """
 
     cutoff: float
     expected_error: float
     noise_share: float
+    joint_noise: Array
 
 
 def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
@@ -97,7 +100,9 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     # At least four segments; the second difference has two samples less.
     length = min((len(q) - 2) // 4, longest)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))[1:]
-    motion, noise = _acceleration_spectra(q, length, frequency / rate)
+    joint_motion, joint_noise = _acceleration_spectra(q, length, frequency / rate)
+    motion = np.sum(joint_motion, axis=1)
+    noise = np.sum(joint_noise, axis=1)
     highest = HIGHEST_CUTOFF * rate
     # The half width [s] is inversely proportional to the cut-off; the low-pass of positions and
     # that of regressor columns lose one half width each at both ends.
@@ -110,10 +115,14 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     bound = max(candidates[0], HIGHEST_RATIO * fastest)
     candidates = candidates[candidates <= bound]
 
+    def gain_of(cutoff: float) -> Array:
+        """Return what the low-pass leaves (F,) at each frequency."""
+        kernel = design_low_pass(cutoff, rate).kernel
+        return np.abs(np.fft.rfft(kernel, length))[1:]
+
     def error(cutoff: float) -> float:
         """Return the expected squared error of the acceleration, over its mean square."""
-        kernel = design_low_pass(cutoff, rate).kernel
-        gain = np.abs(np.fft.rfft(kernel, length))[1:]
+        gain = gain_of(cutoff)
         return float((1.0 - gain) ** 2 @ motion + gain**2 @ noise)
 
     errors = np.array([*map(error, candidates)])
@@ -124,14 +133,18 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     if cutoff < least and error(least) < BEARABLE_ERROR:
         cutoff = float(least)
     noise_share = np.sqrt(np.sum(noise))
-    return CutoffChoice(cutoff, float(np.sqrt(error(cutoff))), noise_share)
+    gain = gain_of(cutoff)
+    left = float(gain**2 @ (motion + noise))
+    return CutoffChoice(
+        cutoff, float(np.sqrt(error(cutoff))), noise_share, gain**2 @ joint_noise / left
+    )
 
 
 def _acceleration_spectra(
     q: Array, length: int, frequency: Array
 ) -> tuple[Array, Array]:
-    """Return power spectra (F,) of the motion's acceleration, which adds up to one, and of the
-    acceleration's noise, each summed over all joints.
+    """Return power spectra (F, n) of the motion's acceleration, which adds up to one over all
+    joints, and of the acceleration's noise.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
@@ -149,7 +162,7 @@ def _acceleration_spectra(
     motion[_valley(frequency, power, motion) :] = 0.0
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     total = max(float(np.sum(motion)), 1e-99)
-    return np.sum(motion, axis=1) / total, np.sum(noise, axis=1) / total
+    return motion / total, noise / total
 
 
 def _valley(frequency: Array, power: Array, motion: Array) -> int:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any
 
@@ -122,6 +122,8 @@ class FilteredRecording:
         notes: what a reader should know about the log.
         acceleration_error: expected error of the acceleration over its root mean square; 0 where
             the cut-off was given.
+        acceleration_noise: (n,) standard deviation of the noise of each joint's acceleration
+            [rad/s^2]; zero where the cut-off was given.
         touched: stretches in which torque is left over that is ordinary at no other time.
         every: of how many rows one counts.
         chosen: (K, n) rows that are used; None for all that the signals allow (``is_used``).
@@ -142,6 +144,7 @@ class FilteredRecording:
     order: float = 0.0
     notes: tuple[str, ...] = ()
     acceleration_error: float = 0.0
+    acceleration_noise: Array = field(default_factory=partial(np.zeros, 1))
     touched: tuple[Stretch, ...] = ()
     every: int = 1
     chosen: Mask | None = None
@@ -342,6 +345,9 @@ def low_pass_uniform(
         is_loaded=uniform.is_loaded,
         order=uniform.order,
         acceleration_error=choice.expected_error,
+        acceleration_noise=np.sqrt(
+            choice.joint_noise * np.sum(np.mean(qdd**2, axis=0))
+        ),
     )
     filter_note = Detail(f"low-pass with a cut-off of {choice.cutoff:.4g} Hz")
     row_notes = _notes(filtered, robot, longest_hole)
@@ -492,7 +498,11 @@ def low_pass_recordings(
     filtered = []
     for uniform, choice in zip(resampled, choices):
         if cutoff is not None or choice.cutoff > cutoffs[uniform.name]:
-            choice = choice._replace(cutoff=cutoffs[uniform.name], expected_error=0.0)
+            choice = choice._replace(
+                cutoff=cutoffs[uniform.name],
+                expected_error=0.0,
+                joint_noise=np.zeros_like(choice.joint_noise),
+            )
         with prefix_input_errors(uniform.name):
             filtered.append(low_pass_uniform(uniform, choice, robot))
         logs[uniform.name].append(filtered[-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -98,6 +99,32 @@ def test_friction_of_one_log_that_is_not_that_of_the_others_is_no_delay(four_joi
     (finding,) = findings_of(four_joints.robot, four_joints.log, other)
     assert finding.about == "friction" and finding.level is Level.SAYS
     assert "friction is not that of the other logs" in finding.text
+    changes = re.findall(r"(-?[\d.]+) ± ([\d.]+) % at joint\d", finding.text)
+    assert len(changes) >= 3
+    # Of what the sentence says the log is.
+    change = 0.6 - 1.0 if "in log1" in finding.text else 1.0 / 0.6 - 1.0
+    for share, error in changes:
+        assert float(share) == pytest.approx(100.0 * change, abs=3.0 * float(error))
+        assert float(error) < 10.0
+
+
+@pytest.mark.slow
+def test_friction_that_changes_over_a_log_is_said_with_its_size(four_joints):
+    truth = truth_of(four_joints.robot, seed=5)
+    motion = truth.motion
+    noise = 0.02 * np.random.default_rng(0).standard_normal(motion.q.shape)
+    cold = four_joints.arm
+    without = replace(cold, coulomb=0.0 * cold.coulomb, viscous=0.0 * cold.viscous)
+    log = cold.log(motion, noise)
+    friction = log.tau - without.log(motion, noise).tau
+    along = (log.time - log.time[0]) / np.ptp(log.time) - 0.5
+    falling = replace(log, tau=log.tau - 0.3 * along[:, None] * friction)
+    (finding,) = findings_of(four_joints.robot, falling)
+    assert finding.about == "friction" and "off by half of this" in finding.text
+    changes = re.findall(r"(-?[\d.]+) ± ([\d.]+) % at joint\d", finding.text)
+    assert changes
+    for share, error in changes:
+        assert float(share) == pytest.approx(-30.0, abs=3.0 * float(error))
 
 
 @pytest.mark.slow

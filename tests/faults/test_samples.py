@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -65,9 +66,11 @@ def test_a_column_that_is_new_in_few_samples_is_doubted(
     wrong = replace(log, **{quantity: values})
     found = [*rate_findings(four_joints.robot, [wrong])]
     assert [each.level for each in found] == [Level.DOUBTS] * is_late
-    assert all(
-        f"the {word} of joint1 is new in every {every}." in f.text for f in found
-    )
+    # Readings are as old as their place among those that repeat them.
+    late = 1e3 * np.mean(np.arange(every)) * (log.time[1] - log.time[0])
+    for finding in found:
+        assert f"the {word} of joint1 is new in every {every}." in finding.text
+        assert f"{late:.2g} ms late in the mean" in finding.text
 
 
 @given(st.integers(0, 2**32), st.floats(0.04, 0.2))
@@ -80,6 +83,20 @@ def test_lost_samples_behind_a_counted_time_are_refused(seed, share):
     assert finding.level is Level.REFUSES and "lost samples" in finding.text
     honest = replace(log, time=SAMPLES.time[received])
     assert list(clock_findings([honest])) == []
+
+
+def test_a_few_lost_samples_are_doubted_with_what_they_do_to_numbers():
+    """All speeds are too fast by the share that is lost."""
+    received = np.flatnonzero(np.random.default_rng(0).random(len(SAMPLES)) > 0.01)
+    log = Recording(
+        SAMPLES.time[: len(received)], SAMPLES.q[received], None, SAMPLES.tau[received]
+    )
+    (finding,) = clock_findings([log])
+    assert finding.level is Level.DOUBTS
+    lost, viscous, rotors = map(float, re.findall(r"([\d.]+) %", finding.text))
+    too_fast = 100.0 * (SAMPLES.time[received[-1]] / log.time[-1] - 1.0)
+    assert viscous == lost == pytest.approx(too_fast, rel=0.2)
+    assert rotors == pytest.approx(2.0 * lost, rel=0.05)
 
 
 @given(st.integers(0, 2**32), st.floats(5.0, 12.0))
@@ -168,6 +185,7 @@ def test_a_sensor_at_its_end_is_found(joint, share):
     unit = "N" if joint == 2 else "N·m"
     assert f"joint {JOINTS[joint]} is exactly" in findings[0].text
     assert f" {unit}, the end of its range" in findings[0].text
+    assert "come out too small" in findings[0].text
 
 
 def test_the_largest_torque_of_a_short_log_does_not_saturate():

@@ -12,9 +12,11 @@ from rigs.arms.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
 from rigs.logs.measured_logs import XML, log_of, plan_of
 from robot_sysid import spatial
 from robot_sysid.estimate.restricted_fit import fit_file
+from robot_sysid.estimate.trust import missed_friction
 from robot_sysid.records.messages import Level
 from robot_sysid.records.quantities import FILE
 from robot_sysid.results.identification import link_result
+from robot_sysid.results.reasons import missed_terms
 from robot_sysid.results.record import LINK
 from robot_sysid.results.traces import traces_of
 from robot_sysid.results.verdicts import Verdict
@@ -128,6 +130,25 @@ def test_numbers_that_take_up_friction_left_out_are_not_called_usable(
     is_doubt = verdict is not Verdict.BETTER
     assert remark.level is (Level.DOUBTS if is_doubt else Level.SAYS)
     assert not any("probably wrong" in each.text for each in result.remarks)
+
+
+def test_the_number_that_friction_left_out_moves_most_is_said_with_its_error(
+    plant, robot
+):
+    log = log_of(plant, noise_torque=0.02, encoder_resolution=1e-5)
+    fitted = fit_logs(robot, log, friction_model="viscous-armature")
+    missed = missed_friction(fitted)
+    found = fitted.by_name[missed.moved.key]
+    change, error = missed.change
+    # Of a joint's friction, whose truth the arm's model has.
+    true = vars(plant.friction)[missed.moved.name]
+    (joint,) = [
+        k for k, name in enumerate(plant.joint_names) if name == missed.moved.of
+    ]
+    assert found - change == pytest.approx(true[joint], abs=3.0 * error)
+    assert abs(change) > 3.0 * error
+    text = missed_terms(missed, no_friction=False)
+    assert f"viscous friction of {missed.moved.of} is off by {change:.2g}" in text
 
 
 @pytest.mark.parametrize("options", [{"no_friction": True}, {"torques": "terminal"}])
