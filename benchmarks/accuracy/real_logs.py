@@ -397,6 +397,13 @@ def table(columns) -> list[str]:
         "sysid": "mujoco.sysid",
     }
     lines += [f"| {name} | {columns[-1][f'{key} mass']} |" for key, name in who.items()]
+    lines += ["", "| Mass of the last link, by robot-sysid | kg |", "| --- | --- |"]
+    last_masses = {
+        case.title.partition(",")[0]: cells["mjcf mass"]
+        for case, cells in zip(CASES, columns)
+        if case.empty is None
+    }
+    lines += [f"| {arm} | {mass} |" for arm, mass in last_masses.items()]
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco"))
     return [*lines, "", f"Python {platform.python_version()}, {versions}."]
 

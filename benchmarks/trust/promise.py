@@ -1,6 +1,6 @@
 """How well a model file keeps what ``identify`` promises of it on motions that nobody recorded.
 
-Run from the checkout; ``--write`` puts the tables into docs/evidence.md:
+Run from the checkout; ``--write`` puts the tables of these parts into docs/evidence.md:
 
     OMP_NUM_THREADS=1 python -m benchmarks.trust.promise [PART...] [--files 100] [--first-seed 2000]
         [--rows FILE] [--write]
@@ -78,9 +78,22 @@ from robot_sysid.signals.resampling import split_at_gaps
 from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import generate_excitation_trajectory, random_sinusoids
 
-TABLE = PageTable(
-    ROOT / "docs" / "evidence.md", "promise", "python -m benchmarks.trust.promise"
-)
+PAGE = ROOT / "docs" / "evidence.md"
+TABLES = {
+    "simulated": PageTable(
+        PAGE, "promise", "python -m benchmarks.trust.promise simulated"
+    ),
+    "real": PageTable(
+        PAGE, "promise_of_real_arms", "python -m benchmarks.trust.promise real"
+    ),
+    "second": PageTable(
+        PAGE, "promise_of_two_logs", "python -m benchmarks.trust.promise second"
+    ),
+    "plan": PageTable(
+        PAGE, "promise_of_plans", "python -m benchmarks.trust.promise plan"
+    ),
+}
+"""Part of the benchmark to its table."""
 ARMS = {
     **wrong_arms.ARMS,
     "panda with its hand": "franka_panda/panda.xml",
@@ -117,8 +130,6 @@ WITHIN = (0.5, 1.5)
 """Ratios of actual to promised errors between which a promise is kept."""
 FIRST_SEED = 2000
 """Of the first arm. The promise has numbers that were chosen by the arms of 0 to 99."""
-PARTS = ("simulated", "real", "second", "plan")
-"""Of the benchmark."""
 NARROW = ("slow", "small", "three joints")
 """Kinds of logs to which a second one is added."""
 FEW = 20
@@ -798,8 +809,10 @@ class Results:
         return self._rows[part, key]
 
 
-def tables(parts: Sequence[str], seeds: range, results: Results) -> Iterator[list[str]]:
-    """Yield the lines of each part's table."""
+def tables(
+    parts: Sequence[str], seeds: range, results: Results
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield each part with the lines of its table."""
 
     def rows(part: str, keys: Iterable[Any], make: Callable[[Any], Row]) -> list[Row]:
         """Return the results of a part, each of which is printed."""
@@ -816,9 +829,9 @@ def tables(parts: Sequence[str], seeds: range, results: Results) -> Iterator[lis
     if {"simulated", "second"} & {*parts}:
         firsts = dict(zip(seeds, rows("simulated", seeds, simulated)))
     if "simulated" in parts:
-        yield simulated_table([*firsts.values()])
+        yield "simulated", simulated_table([*firsts.values()])
     if "real" in parts:
-        yield real_table(rows("real", PAIRS, real))
+        yield "real", real_table(rows("real", PAIRS, real))
     if "second" in parts:
         narrow = [
             seed
@@ -826,27 +839,25 @@ def tables(parts: Sequence[str], seeds: range, results: Results) -> Iterator[lis
             if row["kind"] in NARROW and row.get("next")
         ][:FEW]
         of_both = rows("second", narrow, lambda seed: second(firsts[seed]))
-        yield second_table([firsts[seed] for seed in narrow], of_both)
+        yield "second", second_table([firsts[seed] for seed in narrow], of_both)
     if "plan" in parts:
-        yield planned_table(rows("plan", seeds[:FEW], planned))
+        yield "plan", planned_table(rows("plan", seeds[:FEW], planned))
 
 
 def main() -> int:
     """Print the tables; write them where that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(TABLES))
     parser.add_argument("--files", type=int, default=100)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.files)
-    lines: list[str] = []
-    for table in tables(options.parts or PARTS, seeds, Results(options.rows)):
-        print("\n".join([*table, ""]), flush=True)
-        lines += [*table, ""]
-    if options.write:
-        TABLE.write(lines[:-1])
+    for part, lines in tables(options.parts or [*TABLES], seeds, Results(options.rows)):
+        TABLES[part].show([*lines, ""], is_written=False)
+        if options.write:
+            TABLES[part].write(lines)
     return 0
 
 

@@ -10,9 +10,10 @@ command ``log``. Beside the motions of this module, there are the right logs und
 ``--arms-each`` says, taken in turn. Printed are the logs of which something is said, and per motion
 how many are refused, doubted, or noted; at the end a table of each reading's false alarms, which
 ``--write`` puts into docs/evidence.md. With ``--public``, the logs of real arms of
-``benchmarks.accuracy.public_arms`` stand below it. Every ``--answers``-th log is given to
-``identify`` as well: how many are Usable, and how many of the numbers lie within 1.96 of their
-stated errors. What is said of a log becomes a line of FILE; logs that are in it are not made again.
+``benchmarks.accuracy.public_arms`` have a table of their own, in a minute with ``--seeds 0``. Every
+``--answers``-th log is given to ``identify`` as well: how many are Usable, and how many of the
+numbers lie within 1.96 of their stated errors. What is said of a log becomes a line of FILE; logs
+that are in it are not made again.
 The whole table of the page, an hour on one core:
 
     OMP_NUM_THREADS=1 python -m benchmarks.trust.right_logs MODELS_FOLDER --deviations real
@@ -82,8 +83,12 @@ MOTIONS: dict[str, tuple[Move, float, float]] = {
     "30_hz": (planned, 20.0, 0.04),
 }
 """Motion to its function, its duration [s] and the share of friction in the torque."""
-TABLE = PageTable(
-    ROOT / "docs" / "evidence.md", "right_logs", "python -m benchmarks.trust.right_logs"
+PAGE = ROOT / "docs" / "evidence.md"
+TABLE = PageTable(PAGE, "right_logs", "python -m benchmarks.trust.right_logs")
+REAL_TABLE = PageTable(
+    PAGE,
+    "right_logs_of_real_arms",
+    "python -m benchmarks.trust.right_logs MODELS_FOLDER --seeds 0 --public LOGS_FOLDER",
 )
 LEVELS = {"says": "a note", "doubts": "a doubt", "refuses": "a refusal"}
 """Level of a finding to what the page calls it."""
@@ -293,11 +298,15 @@ def main() -> int:
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     public = [] if options.public is None else [*public_lines(options.public)]
-    found = right_rows(options)
-    lines = [*alarm_lines(found)]
-    lines += ["", f"`identify` of {answers_line(found)}."] if options.answers else []
-    lines += ["", *public] if public else []
-    TABLE.show(lines, options.write)
+    if public:
+        REAL_TABLE.show(public, options.write)
+    found = right_rows(options) if options.seeds else []
+    if found:
+        lines = [*alarm_lines(found)]
+        lines += (
+            ["", f"`identify` of {answers_line(found)}."] if options.answers else []
+        )
+        TABLE.show(lines, options.write)
     return 0
 
 

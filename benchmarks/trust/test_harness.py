@@ -8,6 +8,7 @@ import signal
 import numpy as np
 import pytest
 
+from benchmarks.accuracy import real_files
 from benchmarks.trust.ablated_code import Notes, ablations_of, read_folder, rewrite
 from benchmarks.trust.answers import Stopped, run_command
 from benchmarks.trust.drawn_changes import Subject, draw_changes
@@ -130,3 +131,16 @@ def test_each_condition_is_taken_out_alone_where_it_makes_a_difference(
     first = ("if row.name != 'first'", "dropped")
     assert {row, limit, level, first} <= changing[0]
     assert ("LIMIT = 3", "0") not in noticed[0]
+
+
+@pytest.mark.slow
+def test_the_table_of_real_files_has_what_the_gate_prints():
+    printed = [
+        "kuka3 0-1 on kuka1 0-1: 5.59 (2.37) %, 9.8 imports; best 6.00 (2.36), 6.9",
+        "tx40 0-0.7 on tx40 0.7-0.86: REFUSED (exit 2) error: too short",
+        "0 worse or refused",
+    ]
+    assert [*real_files.table(printed)][2:] == [
+        "| `kuka3` | `kuka1` | 5.59 % | 2.37 % |",
+        "| `tx40`, 0 to 0.7 | `tx40`, 0.7 to 0.86 | refused |  |",
+    ]
