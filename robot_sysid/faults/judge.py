@@ -12,7 +12,7 @@ A fault is named where
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,8 +22,10 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import (
+    FRICTION,
     LAST_LINK,
     LINKS,
+    PAYLOAD,
     PAYLOAD_NAMES,
     Point,
     Term,
@@ -67,6 +69,8 @@ MOST_WEIGHED = 8
 """Explanations that are weighed in a round: to weigh one takes much longer than to offer it."""
 SLOW_SHARE = 0.5
 """Least share of what a cause explains that is not noise."""
+CAUSES_IN_RESULT = (LAST_LINK, LINKS, PAYLOAD, FRICTION)
+"""Causes whose numbers a result has."""
 SHARED_RELIEF = 0.5
 """Gain per squared deviation from the priors that an effect relieves [nats]."""
 
@@ -193,10 +197,25 @@ class Score:
 
     @property
     def text(self) -> str:
-        """The fault, with its number."""
-        text = self._with_words(self.explanation.fault.text)
+        """The fault, with its number, and what it does to the estimate that has not got it."""
+        text = f"{self._with_words(self.explanation.fault.text)}{self._bias}"
         log = self.explanation.log
         return f"in {log}, {text}" if log else text
+
+    @property
+    def _bias(self) -> str:
+        """The words on the number of a result that is most off by the fault, in its errors."""
+        if self.level is Level.REFUSES:
+            return ""
+        fitted = self.fitted
+        # Within bounds, which the offer does not know.
+        after = fit_with(fitted, [self.explanation.effect])
+        terms = [t for t in fitted.equations.terms if t.cause in CAUSES_IN_RESULT]
+        parameters = [parameter for term in terms for parameter in term.parameters]
+        keys = [parameter.key for parameter in parameters]
+        off = {key: fitted.by_name[key] - after.by_name[key] for key in keys}
+        errors = {key: after.error_of(key) for key in keys}
+        return bias_text(parameters, off, errors)
 
     @property
     def remedy(self) -> str:
@@ -218,6 +237,29 @@ class Score:
         if describe is not None:
             words["values"] = describe(self.fitted, self.offer)
         return with_option_names(template, {**words, **explanation.words})
+
+
+def bias_text(
+    parameters: Sequence[Parameter],
+    off: Mapping[str, float],
+    errors: Mapping[str, float],
+) -> str:
+    """Return how far the number is off that is most of its standard errors off; "" within one.
+
+    Args:
+        parameters: those that may be named.
+        off: key of a parameter to how far it is too large.
+        errors: key of a parameter to its standard error where the fault is taken out.
+    """
+    if not parameters:
+        return ""
+    ratios = [abs(off[p.key]) / max(errors[p.key], 1e-300) for p in parameters]
+    most = parameters[int(np.argmax(ratios))]
+    if max(ratios) <= 1.0:
+        return ""
+    way = "large" if off[most.key] > 0.0 else "small"
+    size = with_error(abs(off[most.key]), errors[most.key], most.unit)
+    return f", which makes the {most.words} too {way} by {size}"
 
 
 def asked_names(fitted: Fit) -> tuple[str, ...]:

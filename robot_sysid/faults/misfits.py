@@ -27,6 +27,7 @@ from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, ZEROS
 from robot_sysid.faults import Finding
 from robot_sysid.faults.columns import INERTIAL, WEIGHT
+from robot_sysid.faults.judge import bias_text
 from robot_sysid.faults.loop import State
 from robot_sysid.faults.plausibility import (
     PLAIN_FRICTION,
@@ -162,17 +163,18 @@ def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
     moved = [earlier(recording, delays) for recording in fitted.recordings]
     after = solve_question(fitted.arm.robot, moved, fitted.question)
     held = [t for t in fitted.equations.terms if t.cause in CAUSES_IN_FILE]
-    names = {name for term in held for name in term.names}
-    written = sorted(names & {*after.names})
-    change = [after.by_name[each] - fitted.by_name[each] for each in written]
-    errors = [fitted.error_of(each) for each in written]
-    is_harmful = np.any(np.abs(change) > INTERVAL * np.array(errors))
+    written = [p for term in held for p in term.parameters if p.key in after.names]
+    # How far the numbers of this fit are off those of torques that are moved back.
+    off = {p.key: fitted.by_name[p.key] - after.by_name[p.key] for p in written}
+    errors = {key: fitted.error_of(key) for key in off}
+    is_harmful = any(abs(off[key]) > INTERVAL * errors[key] for key in off)
     is_doubt = is_harmful and is_more and gain >= CLEAR
+    bias = bias_text(written, off, {key: after.error_of(key) for key in off})
     yield Finding(
         Level.DOUBTS if is_doubt and not fitted.question.loaded else Level.SAYS,
         FaultName.DELAY,
         f"torque of {owner} is {with_error(1e3 * abs(value), 1e3 * error, 'ms')} "
-        f"{'later' if value > 0.0 else 'earlier'} than position",
+        f"{'later' if value > 0.0 else 'earlier'} than position{bias}",
         "record torques and positions of all joints at the same instant",
     )
 

@@ -52,6 +52,7 @@ class Parameter:
         yields: whether it is held at its bound before others are that cross theirs.
         of: joint or motor that has it; "" for the arm, and in a table.
         is_slide: whether that is a slide.
+        body: link or payload that has it, which its name says; "" for the last link.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Parameter:
     yields: bool = False
     of: str = ""
     is_slide: bool = False
+    body: str = ""
 
     def column(self, motion: Motion, top: Array | float = 1.0) -> Array:
         """Return the torque per unit (N, n) of n joints without load.
@@ -93,6 +95,11 @@ class Parameter:
     def key(self) -> str:
         """Its name among all parameters of an arm, such as "coulomb[joint6]"."""
         return self.key_of(self.of)
+
+    @property
+    def words(self) -> str:
+        """What it is, and whose: "rotor inertia of joint6"."""
+        return f"{self.label or self.name} of {self.of or self.body or 'the last link'}"
 
     @property
     def unit(self) -> str:
@@ -152,7 +159,9 @@ INERTIAL = (
 
 def of_body(name: str) -> tuple[Parameter, ...]:
     """Return the inertial parameters of a body other than the last link, such as "m(forearm)"."""
-    return tuple(replace(each, name=f"{each.name}({name})") for each in INERTIAL)
+    return tuple(
+        replace(each, name=f"{each.name}({name})", body=name) for each in INERTIAL
+    )
 
 
 SCALE = Parameter("scale", "error of the torque scale")

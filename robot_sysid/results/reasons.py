@@ -101,7 +101,6 @@ def missed_terms(missed: MissedFriction, no_friction: bool) -> str:
     ``no_friction`` is whether the user wants none at all.
     """
     terms = missed.terms
-    owner = missed.moved.of or "the last link"
     remedy = (
         f"leave out {option_name('friction_model')}, or add {'-'.join(terms)} to it"
     )
@@ -109,7 +108,7 @@ def missed_terms(missed: MissedFriction, no_friction: bool) -> str:
         f"the torques of {', '.join(missed.joints)} clearly show friction terms that were left out "
         f"({', '.join(terms)}), and that links and other terms take up: the torque error on "
         f"held-out data is {percent(missed.error)}, with them {percent(missed.error_with_terms)}, "
-        f"and most of all {missed.moved.label or missed.moved.name} of {owner} is off by "
+        f"and most of all the {missed.moved.words} is off by "
         f"{with_error(*missed.change, missed.moved.unit)}; "
         f"{'identify friction, too' if no_friction else remedy}"
     )

@@ -24,7 +24,7 @@ from robot_sysid.faults.gate import (
 from robot_sysid.records import Motion, Recording
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Level, Progress
-from tests.faults.conftest import findings_of, found_in, read_log, slow
+from tests.faults.conftest import findings_of, fit_of, found_in, read_log, slow
 
 
 @pytest.mark.slow
@@ -229,3 +229,26 @@ def test_two_zeros_that_are_wrong_are_put_right_together(four_joints):
     corrections = {finding.correction for finding in judged.findings}
     assert len(judged.findings) == 2 and len(corrections) == 1
     np.testing.assert_allclose(corrections.pop().zeros, -turned, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_delay_is_said_with_the_number_that_it_moves_most(four_joints):
+    """Of one joint: the delay of all joints is in every fit, and moves nothing."""
+    tau = four_joints.log.tau.copy()
+    tau[:, 2] = np.roll(tau[:, 2], 12)
+    late = replace(four_joints.log, tau=tau)
+    (finding,) = findings_of(four_joints.robot, late)
+    assert finding.about == "delay"
+    said = re.search(
+        r"makes the viscous friction of (joint\d) too (large|small) by ([\d.]+) ± ",
+        finding.text,
+    )
+    assert said is not None, finding.text
+    key = f"viscous[{said[1]}]"
+    right, wrong = fit_of(four_joints), fit_of(four_joints, tau=tau)
+    off = wrong.by_name[key] - right.by_name[key]
+    assert float(said[3]) == pytest.approx(abs(off), rel=0.2)
+    assert (said[2] == "large") == (off > 0.0)
+    all_late = replace(four_joints.log, tau=np.roll(four_joints.log.tau, 8, axis=0))
+    (finding,) = findings_of(four_joints.robot, all_late)
+    assert finding.about == "delay" and "makes" not in finding.text

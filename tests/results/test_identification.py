@@ -148,7 +148,7 @@ def test_the_number_that_friction_left_out_moves_most_is_said_with_its_error(
     assert found - change == pytest.approx(true[joint], abs=3.0 * error)
     assert abs(change) > 3.0 * error
     text = missed_terms(missed, no_friction=False)
-    assert f"viscous friction of {missed.moved.of} is off by {change:.2g}" in text
+    assert f"the viscous friction of {missed.moved.of} is off by {change:.2g}" in text
 
 
 @pytest.mark.parametrize("options", [{"no_friction": True}, {"torques": "terminal"}])
