@@ -330,6 +330,7 @@ def check(
     model: Model,
     log: Log | Sequence[Log],
     since: Log | Sequence[Log] = (),
+    same_day: bool = False,
     **options: Any,
 ) -> Check:
     """Tell whether an arm is what it was, or what its model says: load, friction, zeros, sensors.
@@ -340,6 +341,8 @@ def check(
         since: an earlier log, or several; or the path of the folder of a run of ``identify``, or of
             ``payload``, of which the logs without the payload count. By default the log is compared
             with the model.
+        same_day: whether both logs are of one day, with the gears as warm: smaller changes of
+            friction are then named.
         options: what ``ModelOptions`` and ``LogOptions`` take; those of logs are for ``log`` alone.
 
     Returns:
@@ -352,7 +355,7 @@ def check(
     values = {**options, "measurements": _log_sources(log)}
     with _quietly() as notes:
         config = CheckConfig.of(path_of(model), **values)
-        return check_log(config, _log_sources(since), notes)
+        return check_log(config, _log_sources(since), notes, same_day)
 
 
 @dataclass(frozen=True, repr=False)

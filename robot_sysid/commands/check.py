@@ -33,6 +33,10 @@ class EarlierLog(FileArguments):
         "EARLIER",
         takes_many=True,
     )
+    same_day: bool = option(
+        False,
+        "both logs are of one day, with the gears as warm: smaller changes of friction are named",
+    )
 
 
 def run(values: Mapping[str, Any], console: Console) -> int:
@@ -40,27 +44,30 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     from robot_sysid.pipeline.comparison import check_log
 
     log = record_from(LogArgument, values).log
-    since = record_from(EarlierLog, values).since
+    earlier = record_from(EarlierLog, values)
+    since = earlier.since
     own_keys = keys_of(LogArgument, EarlierLog)
     options = {key: value for key, value in values.items() if key not in own_keys}
     config = CheckConfig.of(measurements=log, **options)
-    result = check_log(config, since, console)
+    result = check_log(config, since, console, earlier.same_day)
     rows = [
         [
             "change of" if since else "differs from the model",
             "",
             "value",
             "±",
+            "usual",
             "named from",
             "",
         ]
     ]
     for row in result.changes:
         error = row.error or 0.0
-        numbers = [number_text(n, error) for n in (row.value, error, row.least)]
-        rows.append([row.of, row.name, *numbers, f"{row.unit} {row.reason}".strip()])
+        numbers = (row.value, error, row.usual, row.least)
+        texts = [number_text(number, error) for number in numbers]
+        rows.append([row.of, row.name, *texts, f"{row.unit} {row.reason}".strip()])
     if result.changes:
-        console.stage(*aligned_lines(rows, ("value", "±", "named from")))
+        console.stage(*aligned_lines(rows, ("value", "±", "usual", "named from")))
     console.note(*result.notes)
     console.stage(*result.verdict)
     console.result(vars(result))
@@ -83,7 +90,7 @@ COMMANDS = (
         },
         run,
         main=(
-            *("since", "mesh_dir", "joint", "gravity", "columns", "units"),
+            *("since", "same_day", "mesh_dir", "joint", "gravity", "columns", "units"),
             *("torque_scale", "torque_constants", "topic", "accept", "json"),
         ),
         interrupted="interrupted; nothing was written",

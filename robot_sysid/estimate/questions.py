@@ -73,6 +73,7 @@ class Question:
         drifts: whether to estimate a drift of friction from the first to the last recording.
         changed: of two sides that are compared, names of the drifts and of the payload's
             parameters that may have changed by more than usual; None where no sides are compared.
+        same_day: whether the sides are of one day, with the gears as warm.
         differing: of an arm that is compared with its model, names of the parameters that may
             differ from it by more than usual; None where no model is compared.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
@@ -94,6 +95,7 @@ class Question:
     loaded: bool = False
     drifts: bool = False
     changed: tuple[str, ...] | None = None
+    same_day: bool = False
     differing: tuple[str, ...] | None = None
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
@@ -206,10 +208,13 @@ def _drift_sizes(
     scale = PER_CENT * usual_errors.SCALE_DRIFT
     if question.changed is None:
         return {DRIFT: friction * question.drifts, SCALE_DRIFT: scale * question.loaded}
+    of_friction = usual_errors.FRICTION_CHANGE
+    if question.same_day:
+        of_friction = usual_errors.FRICTION_IN_A_DAY
     # Sensors err by a share of what the strongest joint has, whatever their own joint carries.
     of_sensor = scale * np.max(torque)
     usual: dict[str, Array | float] = {
-        DRIFT: 0.5 * usual_errors.FRICTION_CHANGE,
+        DRIFT: 0.5 * of_friction,
         SCALE_DRIFT: of_sensor / np.maximum(torque, 1e-9),
         ZERO_DRIFT: 1e-3 * usual_errors.ZERO_DRIFT,
         OFFSET_DRIFT: np.full(len(torque), of_sensor),

@@ -4,8 +4,8 @@ A load of the second side, and each drift of friction, a zero, a torque scale or
 from one side to the other, is fitted alone, beside what such drifts usually are from day to day.
 The likeliest of them stays if it is beyond its error, and the others are fitted again beside it.
 
-The ± of a number is that of errors and usual drifts together, and the number is named from a
-multiple of this ± on: that which they alone reach in a share ``FALSE_ALARMS`` / k of all pairs of
+The ± of a number is that of its measurement. It is named from a multiple of this ± and of usual
+drifts together on: that which these alone reach in a share ``FALSE_ALARMS`` / k of all pairs of
 logs, of k numbers that are compared (Bonferroni).
 
 A model takes the place of the earlier side the same way: the last link, zeros, torque scales and
@@ -141,14 +141,16 @@ _TILTS = tuple(
 class Change(Quantity):
     """A number of the second side less that of the first, of friction in per cent of the first.
 
-    Its ``error`` is that of errors and of what is usual together. Its reason is ``DIFFERS`` where
-    the sides do, ``UNKNOWN`` where the logs show too little.
+    Its ``error`` is that of the measurement. Its reason is ``DIFFERS`` where the sides do,
+    ``UNKNOWN`` where the logs show too little.
 
     Attributes:
-        least: the size from which on it would be named, a multiple of ``error``.
+        usual: what it usually is where nothing has changed, a standard deviation.
+        least: the size from which on it would be named, a multiple of both together.
         kind: what is compared.
     """
 
+    usual: float = 0.0
     least: float = 0.0
     kind: Kind = Kind.LOAD
 
@@ -163,10 +165,13 @@ class Change(Quantity):
         return self.least
 
 
-def change_question(arm: ArmTerms, options: EstimationOptions) -> Question:
+def change_question(
+    arm: ArmTerms, options: EstimationOptions, same_day: bool = False
+) -> Question:
     """Return the question in which load, friction and sensors may all have changed."""
     drifts = chain(*(arm.terms[cause].names for cause in _DRIFTS))
-    return Question(options, loaded=True, changed=(*PAYLOAD_NAMES, *drifts))
+    changed = (*PAYLOAD_NAMES, *drifts)
+    return Question(options, loaded=True, changed=changed, same_day=same_day)
 
 
 @dataclass(frozen=True)
@@ -301,11 +306,11 @@ def differences(fitted: Fit) -> Differences:
     differing = [state.compared[each] for each in state.changed]
     is_certain = any(_is_certain(own, right) for own in differing)
     weights = [*_weights(right, fitted)]
-    for row, error in weights:
+    for row in weights:
         # What links as wrong as usual look like is in the row's bound.
-        is_alarming = abs(row.value) > ALARMING * error
+        is_alarming = abs(row.value) > ALARMING * (row.error or 0.0)
         is_certain = is_certain or (row.reason == DIFFERS and is_alarming)
-    rows = (*of_candidates, *(row for row, _ in weights), *_friction(fitted))
+    rows = (*of_candidates, *weights, *_friction(fitted))
     return Differences(rows, right, is_certain)
 
 
@@ -352,10 +357,8 @@ def _torque_share(fitted: Fit, names: Sequence[str]) -> float:
     return float(np.sqrt(squares / np.sum(sums.rms_torque**2)))
 
 
-def _weights(fitted: Fit, usual: Fit) -> Iterator[tuple[Change, float]]:
-    """Yield by how much the links' torque at each joint is larger than the model's.
-
-    Each row comes with its standard error, without what is usual [%].
+def _weights(fitted: Fit, usual: Fit) -> Iterator[Change]:
+    """Yield by how much the links' torque at each joint is larger than the model's [%].
 
     What is usual of it is what the priors of the links say, in the fit in which nothing differs.
 
@@ -397,10 +400,18 @@ def _weights(fitted: Fit, usual: Fit) -> Iterator[tuple[Change, float]]:
         least = SURE * spread
         is_loaded = sums.rms_torque[sums.joints.index(joint)] > _LOADED * strongest
         is_beyond = is_loaded and abs(value) > least
-        row = Change(Kind.WEIGHT.value, joint, "%", None, 100.0 * value, 100.0 * spread)
-        reason = _reason(is_beyond, is_loaded and least < 1.0)
-        row = replace(row, reason=reason, least=100.0 * least, kind=Kind.WEIGHT)
-        yield row, 100.0 * error
+        yield Change(
+            Kind.WEIGHT.value,
+            joint,
+            "%",
+            None,
+            100.0 * value,
+            100.0 * error,
+            reason=_reason(is_beyond, is_loaded and least < 1.0),
+            usual=100.0 * float(np.hypot(WEIGHT, np.sqrt(variance) / square)),
+            least=100.0 * least,
+            kind=Kind.WEIGHT,
+        )
 
 
 def _friction(fitted: Fit) -> Iterator[Change]:
@@ -427,9 +438,7 @@ def _friction(fitted: Fit) -> Iterator[Change]:
         reason = NOT_JUDGED if abs(value - stated) > least else ""
         unit = torque_unit(joint in arm.robot.slides)
         kind = Kind.FRICTION_IN_MOTION
-        differing = Change(
-            kind.value, joint, unit, stated, value - stated, least / SURE
-        )
+        differing = Change(kind.value, joint, unit, stated, value - stated, error)
         yield replace(differing, reason=reason, least=least, kind=kind)
 
 
@@ -601,6 +610,7 @@ class _Compared:
         values: (m,) what is compared with zero: of a load its mass and first moments, of several
             drifts their mean.
         errors: (m,) their standard errors.
+        usual: (m,) standard deviations of what is usual.
         spreads: (m,) their standard deviations by errors and what is usual.
         chance: the chance of values as large without a change, and minus their chi-square, which
             orders chances that are too small for a number; the jackknife is left out.
@@ -626,8 +636,9 @@ class _Compared:
         own = fitted.covariance[np.ix_(at, at)]
         squares = combinations @ own @ combinations.T
         self.errors = np.sqrt(np.diag(squares))
-        squares = squares + combinations @ usual @ combinations.T
-        self.spreads = np.sqrt(np.diag(squares))
+        usual_squares = combinations @ usual @ combinations.T
+        self.usual = np.sqrt(np.diag(usual_squares))
+        self.spreads = np.hypot(self.errors, self.usual)
         spread = combinations @ formal @ combinations.T
         inverse = np.linalg.pinv(spread, hermitian=True)
         square = float(self.values @ inverse @ self.values)
@@ -675,28 +686,33 @@ def _rows(own: _Compared, beyond: str) -> Iterator[Change]:
         unit, factor = _UNITS.get(parameter.unit, (parameter.unit, 1.0))
         factor *= candidate.whole
         kind = candidate.kind
+        sizes = np.array([own.errors[number], own.usual[number]])
         change, least = factor * value, factor * bound
         widest = least
+        error, usual = (factor * sizes).tolist()
         if kind is Kind.FRICTION:
-            change, least, widest = (
+            change, least, widest, error, usual = (
                 _friction_change(each)
-                for each in (value, float(np.copysign(bound, value)), bound)
+                for each in (
+                    *(value, float(np.copysign(bound, value)), bound),
+                    *sizes.tolist(),
+                )
             )
         # A share that may be as large as all of it is none that is known.
         is_shown = own.is_shown(number) and (unit != "%" or widest < 100.0)
         reason = (
             beyond if own.are_beyond[number] and beyond else _reason(False, is_shown)
         )
-        least = abs(least)
         yield Change(
             parameter.name if kind is Kind.LOAD else kind.value,
             parameter.of,
             unit,
             None,
             change,
-            least / own.sure,
+            error,
             reason=reason,
-            least=least,
+            usual=usual,
+            least=abs(least),
             kind=kind,
         )
 

@@ -105,7 +105,10 @@ class Check:
 
 
 def check_log(
-    config: IdentifyConfig, since: Sequence[Any], progress: Progress
+    config: IdentifyConfig,
+    since: Sequence[Any],
+    progress: Progress,
+    same_day: bool = False,
 ) -> Check:
     """Return whether an arm is what it was, by a log of any motion and an earlier one.
 
@@ -114,6 +117,7 @@ def check_log(
         since: the earlier log, as ``open_logs`` takes it, or the folder of a run on earlier logs,
             with whose options these are read; () compares the log with the model.
         progress: receives stages.
+        same_day: whether both logs are of one day, with the gears as warm.
 
     Raises:
         InputError: a log cannot be used or is none of this arm, or both show nothing.
@@ -145,7 +149,8 @@ def check_log(
     # Both sides with one name would be one log.
     first = [replace(log, name=f"{log.name} ({option_name('since')})") for log in first]
     try:
-        rows = compare_logs(robot, (first, second), (earlier, config), progress)
+        sides = (first, second)
+        rows = compare_logs(robot, sides, (earlier, config), progress, same_day)
     except SysidError:
         # What is wrong with the log alone says more.
         found = _found_alone(robot, second, config)
@@ -370,6 +375,7 @@ def compare_logs(
     sides: Sequence[Sequence[Recording]],
     configs: Sequence[IdentifyConfig],
     progress: Progress,
+    same_day: bool = False,
 ) -> list[Change]:
     """Return what may have changed from the logs of one side to those of the other.
 
@@ -378,6 +384,7 @@ def compare_logs(
         sides: logs of the first state of the arm, and of the second.
         configs: options of each side; those of the first side's fit count.
         progress: receives stages.
+        same_day: whether both sides are of one day, with the gears as warm.
     """
     logs = [*sides[0], *sides[1]]
     refuse_repeated_logs(logs)
@@ -385,7 +392,7 @@ def compare_logs(
     first = configs[0]
     estimation = with_scale_prior(first.estimation, first.log, robot.joint_names)
     estimation = replace(estimation, torques="chain", no_friction=False)
-    question = change_question(ArmTerms(robot, loaded=True), estimation)
+    question = change_question(ArmTerms(robot, loaded=True), estimation, same_day)
     is_loaded = [False] * len(sides[0]) + [True] * len(sides[1])
     orders = [1.0 if loaded else -1.0 for loaded in is_loaded]
     judged = judge(robot, logs, question, progress, is_loaded, orders)

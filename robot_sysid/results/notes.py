@@ -67,15 +67,21 @@ def _coarse_notes(fitted: Fit, error: float) -> Iterator[str]:
     ``error`` is the expected one of accelerations, over them. Motion above the cut-off, which
     accelerations and torques both lose, makes no rotor smaller.
     """
-    phrases = [
-        f"{-bias:.2g} ± {own:.2g} {rotor.unit} at {rotor.of}"
-        for rotor, bias, own in rotor_biases(fitted)
-        if -bias > own
-    ]
+    phrases = []
+    most = []
+    for rotor, bias, own in rotor_biases(fitted):
+        if -bias > fitted.by_name[rotor.key]:
+            most.append(rotor.of)
+        elif -bias > own:
+            phrases.append(
+                f"by about {-bias:.2g} ± {own:.2g} {rotor.unit} at {rotor.of}"
+            )
+    if most:
+        phrases.append(f"by more than a half at {', '.join(most)}")
     if phrases:
         yield (
             f"the positions are too coarse for accelerations (expected error {percent(error)}): "
-            f"rotor inertia comes out too small, by about {', by about '.join(phrases)}, which no "
+            f"rotor inertia comes out too small, {', '.join(phrases)}, which no "
             "other ± has in it; inertias of links likewise"
         )
 

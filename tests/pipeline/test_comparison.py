@@ -42,7 +42,7 @@ NOTHING = np.zeros(10)
 ONE = np.array([0.0, 0.0, 0.3, 0.0])
 
 
-def rows_of(seed, body=NOTHING, friction=0.0, swapped=False, **after):
+def rows_of(seed, body=NOTHING, friction=0.0, swapped=False, same_day=False, **after):
     """Return what has changed between two runs, links 10 % off the model, in either order.
 
     ``after`` are fields of ``WrongArm`` in the second run.
@@ -60,7 +60,8 @@ def rows_of(seed, body=NOTHING, friction=0.0, swapped=False, **after):
         is_later = is_second != swapped
         log = replace(log, is_loaded=is_later, order=1.0 if is_later else -1.0)
         recordings.append(add_noise(log, 0.05, [seed, is_second]))
-    question = change_question(ArmTerms(ROBOT, loaded=True), EstimationOptions())
+    arm_terms = ArmTerms(ROBOT, loaded=True)
+    question = change_question(arm_terms, EstimationOptions(), same_day)
     return changes(solve_question(ROBOT, recordings, question))
 
 
@@ -132,6 +133,19 @@ def test_one_joints_change_is_found_with_its_value_and_nothing_else(
 
 
 @pytest.mark.slow
+def test_a_smaller_change_of_friction_is_named_of_one_day():
+    """The measured change and its ± are the same; what is usual in a day is less."""
+    change = 0.18 * np.eye(4)[2]
+    other, same = (rows_of(1, friction=change, same_day=day) for day in (False, True))
+    assert not named(other) and named(same) == {("friction", "joint2")}
+    before, after = (row_of(rows, "friction", "joint2") for rows in (other, same))
+    assert after.value == pytest.approx(18.0, abs=3.0 * after.error)
+    assert after.value == pytest.approx(before.value, abs=before.error)
+    assert before.usual == pytest.approx(10.0, rel=0.1)
+    assert after.usual == pytest.approx(3.0, rel=0.1)
+
+
+@pytest.mark.slow
 def test_a_change_of_all_joints_is_said_once():
     rows = rows_of(2, friction=-0.25)
     assert named(rows) == {("friction", ALL_JOINTS)}
@@ -164,7 +178,7 @@ _LARGEST = {
 @pytest.mark.slow
 @settings(max_examples=6)
 @given(SEEDS, st.sets(st.sampled_from(sorted(_LARGEST)), max_size=2))
-def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
+def test_what_differs_is_what_is_beyond_a_multiple_of_its_error_and_what_is_usual(
     seed, kinds
 ):
     """In a row as in all of a table, and what is beyond it is said."""
@@ -181,7 +195,9 @@ def test_what_differs_is_what_is_beyond_a_multiple_of_the_error_that_is_printed(
     has_load = ("m", "link3") in named(rows)
     has_all = ("friction", ALL_JOINTS) in named(rows)
     for row in rows:
-        assert row.least == pytest.approx(one * row.error, rel=1e-9)
+        if row.name != "friction":
+            spread = np.hypot(row.error, row.usual)
+            assert row.least == pytest.approx(one * spread, rel=1e-9)
         is_beyond = abs(row.value) > row.least
         assert is_beyond or row.reason not in (DIFFERS, WITH_ALL)
         if is_beyond and row.reason != DIFFERS:
