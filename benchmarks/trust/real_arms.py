@@ -1,7 +1,8 @@
 """How often stated 95 % intervals contain the truth, on arms that are off as real ones are.
 
     python -m benchmarks.trust.real_arms MODELS_FOLDER [--logs 20] [--arms ur5e iiwa14 ...]
-        [--deviations real priors exact bent presliding] [--durations 8 20 60] [--first-seed 0]
+        [--deviations real priors exact bent presliding straight] [--durations 8 20 60]
+        [--first-seed 0]
 
 Each log is of another arm. Its duration is 8, 20 or 60 s, or what is asked for. Every other log has
 white torque noise, the rest noise with a memory of 20 samples.
@@ -15,8 +16,11 @@ exact   nothing off but noise; Coulomb and viscous friction
 bent    as real, and friction that rises ever less with speed, as large as Coulomb friction
 presliding
         as real, and dry friction that turns round over 1 mrad of travel, read by good encoders
+straight
+        as real without Stribeck friction
 
-The last two are drawn where they are asked for.
+The last three are drawn where they are asked for. Dry and viscous friction are compared with the
+line nearest to the true friction, of all its parts, at the speeds and loads of the log.
 
 Two of the arms have torque sensors behind the gears: a tenth of the friction, no rotor inertia.
 Printed per arm and deviation, and of all arms: coverage, root mean square of error over stated
@@ -38,7 +42,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.trust.answers import bare_model_text, identify_logs, number, write_log
-from rigs.arms.wrong_arms import ARMS, DEVIATIONS, Truth, WrongArm, draw_arm
+from rigs.arms.wrong_arms import ARMS, DEVIATIONS, Truth, draw_arm
 from rigs.files.params import rows
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import other_links
@@ -70,7 +74,7 @@ def draw_arms(
 Off = tuple[str, float, float, float]
 """Quantity, its error, its stated error, and the size that errors are divided by."""
 TERMS = {"Coulomb": "coulomb", "viscous": "viscous", "rotor": "armature"}
-"""Quantity of a joint, its attribute in lower case, to its name in params.json."""
+"""Quantity of a joint to its name in params.json."""
 Rows = Mapping[tuple[str, str], Mapping[str, Any]]
 """(Body or joint, name) to an identified number of params.json."""
 
@@ -91,14 +95,15 @@ def last_link_offs(answer: Rows, link: str, true: Array) -> Iterator[Off]:
         yield off("its inertia", answer[link, name], moment, mass * size**2)
 
 
-def joint_offs(answer: Rows, arm: WrongArm, joint: int) -> Iterator[Off]:
+def joint_offs(answer: Rows, truth: Truth, joint: int) -> Iterator[Off]:
     """Yield how far a joint's friction and rotor inertia in params.json are off."""
+    arm = truth.arm
+    true_values = (*arm.friction_line(truth.motion, joint), arm.rotor[joint])
     least_size = float(arm.robot.thetas[-1, 4:].max()) + 1e-3
-    for quantity, name in TERMS.items():
+    for (quantity, name), true in zip(TERMS.items(), map(float, true_values)):
         row = answer.get((arm.robot.joint_names[joint], name))
         # Not every joint has every term.
         if row is not None:
-            true = float(getattr(arm, quantity.lower())[joint])
             yield off(quantity, row, true, true or least_size)
 
 
@@ -135,7 +140,7 @@ def errors_of(
     for joint, name in enumerate(robot.joint_names):
         offs += (
             each
-            for each in joint_offs(answer, arm, joint)
+            for each in joint_offs(answer, truth, joint)
             if each[0] != "viscous" or name not in bent
         )
     for curve in curves:

@@ -35,10 +35,10 @@ ARMS = {
     "xarm7": "ufactory_xarm7/xarm7.xml",
     "fr3": "franka_fr3/FrankaFR3_7DoF.urdf",
 }
-DEVIATIONS = ("real", "priors", "exact", "bent", "presliding")
+DEVIATIONS = ("real", "priors", "exact", "bent", "presliding", "straight")
 """What arms differ in from their models, see ``draw_arm``. New ones go to the end: the random
 numbers of an arm begin with the place of its deviation."""
-AS_REAL = ("real", "bent", "presliding")
+AS_REAL = ("real", "bent", "presliding", "straight")
 """Deviations of which links, scales, zeros and dry friction are as far off as those of real arms.
 """
 PRESLIDING = 1e-3
@@ -53,6 +53,8 @@ STRIBECK = 0.3
 NOISE = 0.08
 MEMORY = -1.0 / np.log(0.95)
 """Memory of noise that is not white [samples]."""
+MOVING = 0.05
+"""Least speed of a sample from which a line of friction is made, over the fastest."""
 FINE_STEP = 2.0 * np.pi / 2**17
 """Step of a good encoder [rad]."""
 
@@ -140,6 +142,21 @@ class WrongArm:
         dry = dry + sizes["root"] * np.sqrt(speeds) + sizes["loss"] * load
         bend = sizes["bend"] * bending(speeds / sizes["bend_top"])
         return dry + sizes["viscous"] * speeds + bend
+
+    def friction_line(self, motion, joint):
+        """Return dry and viscous friction of the line nearest to a joint's friction in a motion.
+
+        One that would fall with speed has no viscous friction, as in a file.
+        """
+        _, friction = self.torques(motion)
+        qd = motion.qd[:, joint]
+        is_moving = np.abs(qd) > MOVING * np.max(np.abs(qd))
+        columns = np.column_stack((np.sign(qd), qd))[is_moving]
+        torque = friction[is_moving, joint]
+        line, *_ = np.linalg.lstsq(columns, torque, rcond=None)
+        if line[1] < 0.0:
+            line = np.array([np.mean(columns[:, 0] * torque), 0.0])
+        return line
 
     def log(self, motion, noise, payload=0.0):
         """Return what the sensors say in a motion, with torque noise (N, n) [N m]."""
@@ -337,8 +354,9 @@ def draw_arm(
     """Return one arm with one log of it.
 
     ``deviation`` says what is off: "real" as of real arms, "bent" also with friction that bends and
-    is at its top as large as Coulomb friction, "presliding" with dry friction that turns round over
-    a travel, read by good encoders; "priors" what the default priors say; "exact" nothing.
+    is at its top as large as Coulomb friction, "straight" without friction that fades, "presliding"
+    with dry friction that turns round over a travel, read by good encoders; "priors" what the
+    default priors say; "exact" nothing.
 
     ``move`` returns the motion; None for that of an excitation. ``friction`` is the usual Coulomb
     friction over the torque.
@@ -370,7 +388,8 @@ def draw_arm(
     arm = replace(arm, coulomb=coulomb, viscous=viscous, rotor=rotor)
     if deviation in AS_REAL:
         loss = visible_share * rng.uniform(0.02, 0.06, n)
-        arm = replace(arm, stribeck=STRIBECK * coulomb, fading=0.1 * fastest, loss=loss)
+        faded = STRIBECK * coulomb * (deviation != "straight")
+        arm = replace(arm, stribeck=faded, fading=0.1 * fastest, loss=loss)
         if deviation == "bent":
             arm = replace(arm, bend=coulomb, bend_top=BEND_TOP * fastest)
         elif deviation == "presliding":
