@@ -14,10 +14,10 @@ from typing import Any
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
+from robot_sysid.motion.expected_errors import prior_knowledge
 
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model

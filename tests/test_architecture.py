@@ -34,6 +34,7 @@ LAYERS = (
     "motion",
     "report",
     "results",
+    "expected",
     "estimate",
     "simulation",
     "logs",

@@ -419,7 +419,7 @@ SITUATIONS = {
         ("faults.reading_search --gravity",), "log log.csv arm.xml", arm_on_a_wall
     ),
     "noisy log": Situation(
-        ("motion.promise --duration",),
+        ("expected.other_motions --duration",),
         "identify arm.xml log.csv",
         noisy_arm,
         folders=("sysid_output", "sysid_output/both"),

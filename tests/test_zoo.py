@@ -18,9 +18,9 @@ from rigs.files.places import MODELS
 from robot_sysid import spatial
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.expected.recording import prior_knowledge
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.motion import Effort, ExcitationOptions, LimitOptions
-from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import (

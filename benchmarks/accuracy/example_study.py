@@ -22,8 +22,8 @@ random_plan = noise_study.random_plan
 def designed_plan(robot, seed=1):
     """Return the trajectory that ``--excitation optimal`` designs; it takes about 20 s."""
     from robot_sysid.estimate.options import EstimationOptions
+    from robot_sysid.expected.recording import prior_knowledge
     from robot_sysid.motion import ExcitationOptions, LimitOptions
-    from robot_sysid.motion.expected_errors import prior_knowledge
     from robot_sysid.motion.problem import build_problem
     from robot_sysid.motion.search import Design, design_excitation
     from robot_sysid.trajectory import TrajectoryOptions

@@ -22,9 +22,9 @@ import numpy as np
 from rigs.arms.excitation_arms import link_covariance
 from rigs.files.places import GUESS, MODELS
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.expected.criterion import Criterion, random_motion
+from robot_sysid.expected.recording import centre_slopes, prior_knowledge
 from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.expected_errors import centre_slopes, prior_knowledge
-from robot_sysid.motion.information import Criterion, random_motion
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation

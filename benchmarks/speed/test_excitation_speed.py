@@ -8,8 +8,8 @@ import pytest
 
 from rigs.files.places import GUESS
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.expected.recording import prior_knowledge
 from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import (

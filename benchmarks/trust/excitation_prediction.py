@@ -38,12 +38,8 @@ from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import DELAY, LINKS
-from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
-from robot_sysid.motion.expected_errors import (
-    centre_slopes,
-    expected_fit,
-    prior_knowledge,
-)
+from robot_sysid.expected.recording import centre_slopes, expected_fit, prior_knowledge
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
@@ -168,7 +164,7 @@ def lines(path, runs, exact):
     options = ExcitationOptions()
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1), Progress())
-    predicted = expected_fit(problem, plan, RATE, OPTIONS, AimOptions())
+    predicted = expected_fit(problem, plan, RATE, OPTIONS, "arm")
     covariance = predicted.covariance[:10, :10]
     if exact:
         moved = predicted.inverse[:10]

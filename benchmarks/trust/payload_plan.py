@@ -21,8 +21,7 @@ import numpy as np
 import robot_sysid as rs
 from rigs.arms.walk import RATE, TrueArm
 from rigs.files.places import GUESS, MODELS
-from robot_sysid.motion import AimOptions
-from robot_sysid.motion.expected_errors import predict, typical_load
+from robot_sysid.expected.recording import predict, typical_load
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.quantities import load_covariance
 
@@ -65,7 +64,7 @@ def line_of_arm(path, runs, budget, folder):
     problem = planned.checked.problem
     plan = planned.checked.plan
     options = planned.config.estimation
-    prediction = predict(problem, plan, RATE, options, AimOptions("payload"))
+    prediction = predict(problem, plan, RATE, options, "payload")
     predicted = np.array([prediction.errors[0], prediction.centre_error])
     load_mass = float(typical_load(problem)[0])
     stated = []

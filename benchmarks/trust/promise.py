@@ -62,11 +62,11 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.terms import DELAY
+from robot_sysid.expected.knowledge import knowledge_of
+from robot_sysid.expected.motions import grams, made_up_motions, within_range
 from robot_sysid.faults.gate import judge as diagnose
 from robot_sysid.faults.gate import usable_fit
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.motion.elsewhere import made_up_motions, within_range
-from robot_sysid.motion.promise import grams, knowledge_of
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, Recording, RobotModel
@@ -587,7 +587,7 @@ def promised_on(
     terms = fitted.arm.of(t for t in fitted.arm.terms.values() if t.cause != DELAY)
     unknown = [piece.using(piece.is_used, tau=0.0 * piece.tau) for piece in pieces]
     sums = terms.sums(unknown, fitted.point, in_blocks=False)
-    known = knowledge_of(fitted, sums)
+    known = knowledge_of(fitted, sums).after()
     offsets = np.isin(sums.names, [OFFSET.key_of(joint) for joint in sums.joints])
     payload = np.isin(sums.names, PARAMETER_NAMES) & is_loaded
     gram = sum(grams(sums))
@@ -601,7 +601,7 @@ def promised_on(
     for free in (offsets | payload, payload):
         rest = gram[:-1, :-1]
         rest = rest - rest[:, free] @ np.linalg.pinv(rest[free][:, free]) @ rest[free]
-        squares = apart @ rest @ apart + np.sum(known.covariance() * rest) + noise
+        squares = apart @ rest @ apart + np.sum(known.covariance * rest) + noise
         shares.append(float(np.sqrt(squares / (torque @ gram @ torque))))
     return Errors(*shares)
 

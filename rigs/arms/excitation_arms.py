@@ -12,8 +12,8 @@ from robot_sysid.estimate.options import (
     DEFAULT_TERMINAL,
     friction_terms,
 )
+from robot_sysid.expected.criterion import PriorKnowledge
 from robot_sysid.motion import Effort, ExcitationOptions, LimitOptions
-from robot_sysid.motion.information import PriorKnowledge
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
 from robot_sysid.motion.search import Design
 from robot_sysid.trajectory import TrajectoryOptions

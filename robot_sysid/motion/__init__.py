@@ -27,15 +27,6 @@ if TYPE_CHECKING:
 EXCITATIONS = ("sines", "optimal")
 WEIGHT = "weight"
 """Purpose of the slow first motion of an arm that may be heavier than its model says."""
-EMPTY = "A"
-"""Letter of ``--order`` for a recording without the payload."""
-RECORDED_FOR_PAYLOAD = "Recorded empty, loaded, loaded, empty"
-"""``PAYLOAD_ORDER`` in words, as a sentence begins."""
-LOADED = "B"
-"""Letter of ``--order`` for a recording with the payload."""
-PAYLOAD_ORDER = "ABBA"
-"""Order in which a motion planned for a payload is recorded: it separates a drift of friction from
-the payload."""
 
 
 @dataclass(frozen=True)

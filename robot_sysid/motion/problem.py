@@ -12,31 +12,24 @@ from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     LinkDynamics,
-    LinksMotion,
     other_links,
     subtree,
 )
 from robot_sysid.estimate.links import link_factor
+from robot_sysid.expected.planned_arm import PlannedArm
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.clearance import Clearance, unguarded_links
 from robot_sysid.motion.mounting import mounting_plane
 from robot_sysid.motion.planes import tool_corners
 from robot_sysid.records import Array, Limits, Motion, RobotModel
-from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     TOP_FREQUENCY_HZ,
     PerJoint,
     joint_values,
 )
-from robot_sysid.spatial import N_INERTIAL
-from robot_sysid.trajectory import (
-    POSITION_MARGIN,
-    TORQUE_MARGIN,
-    TorqueFunction,
-    assumed_reach,
-)
+from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, assumed_reach
 
 LIMIT_SHARE = 0.99
 """Share of the limits the search uses; the rest covers peaks between grid points.
@@ -52,114 +45,21 @@ DEFAULT_NOISE_TORQUE = 0.3
 
 
 @dataclass(frozen=True)
-class ExcitationProblem:
+class ExcitationProblem(PlannedArm):
     """One arm with everything that a search for motions and a check of limits need.
 
     Attributes:
-        robot: the arm.
-        rest: (n,) configuration in which the motion starts and ends [rad].
-        limits: that the motion may use, with margins already taken off; all positions have some.
         assumed: (3, n) whether a joint's limit of position, velocity and acceleration is stated
             neither by the model nor by an option.
-        links: L indices in ``robot.links`` of the links with mass: the terminal one, then the
-            others from the base on.
-        dynamics: motion of all links.
-        tool: (8, 3) corners of a box about the terminal link and all it carries, in the terminal
-            body's frame [m]. Speed is a convex function of the point, so that the fastest one is a
-            corner.
-        arm_torque: joint torques (N, n) along a motion, friction included, without any load.
-        reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
-        link_errors: (10 L, 10 L) lower triangular factor of the prior covariance of all links'
-            parameters, from the terminal link inwards; zero where the links are taken as they are.
-        rows: indices of the chain joints whose torque will be used.
-        sigma: (len(rows),) standard deviation of the noise of these torques [N m].
         obstacles: distances between bodies that have to be kept.
         notes: sentences for the user on these limits.
         unguarded: names of the moving links without collision geometry.
     """
 
-    robot: RobotModel
-    rest: Array
-    limits: Limits
     assumed: NDArray[np.bool_]
-    links: tuple[int, ...]
-    dynamics: LinkDynamics
-    tool: Array
-    arm_torque: TorqueFunction
-    reserve: float
-    link_errors: Array
     obstacles: Clearance
-    rows: tuple[int, ...]
-    sigma: Array
     notes: tuple[str, ...]
     unguarded: tuple[str, ...]
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the chain joints."""
-        return self.robot.joint_names
-
-    @property
-    def n_joints(self) -> int:
-        """Number of chain joints n."""
-        return self.robot.n_joints
-
-    def torque(self, motion: Motion) -> Array:
-        """Return the torques (N, n) that are compared with the limits [N m].
-
-        Each is the larger one of the torques without and with the reserved load, increased by the
-        reserve for the links' errors.
-        """
-        return self._torque(motion, self.links_motion(motion))
-
-    def links_motion(self, motion: Motion) -> LinksMotion:
-        """Return the motion of all links in a motion of the joints."""
-        return self.dynamics.motion(motion.q, motion.qd, motion.qdd)
-
-    def _torque(self, motion: Motion, links: LinksMotion) -> Array:
-        """Return ``torque`` where the motion of the links is known already."""
-        torque = self.arm_torque(motion)
-        if self.reserve > 0.0:
-            loaded = torque + self.reserve * self.torque_per_kilogram(links)
-            torque = np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
-        return torque + np.copysign(self.torque_reserve(links), torque)
-
-    def torque_reserve(self, links: LinksMotion) -> Array:
-        """Return the torques (N, n) reserved for errors of the links [N m]: two standard deviations
-        of each torque; zero at joints without a torque limit.
-
-        A joint moves the links from the last one to its own. From the terminal link inwards they
-        are the first ones, whose errors the first columns of the triangular factor hold alone.
-        """
-        deviations = np.zeros((self.n_joints, links.velocity.shape[2]))
-        limited = np.flatnonzero(np.isfinite(self.limits.torque)).tolist()
-        if not (limited and np.any(self.link_errors)):
-            return deviations.T
-        inwards = sorted(self.links, reverse=True)
-        columns = links.columns(inwards).transpose(1, 2, 0)
-        for joint in limited:
-            size = N_INERTIAL * sum(link >= joint for link in inwards)
-            errors = self.link_errors[:size, :size].T @ columns[joint, :size]
-            deviations[joint] = np.sqrt(np.sum(errors**2, axis=0))
-        return INTERVAL * deviations.T
-
-    def torque_per_kilogram(self, links: LinksMotion) -> Array:
-        """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg].
-
-        The tip is the corner of the tool's box that is farthest from the terminal body's origin.
-        """
-        tip = self.tool[np.argmax(np.linalg.norm(self.tool, axis=1))]
-        thetas = np.zeros((self.n_joints, N_INERTIAL))
-        # A point mass of 1 kg.
-        thetas[-1] = spatial.theta_from_com(1.0, tip, np.zeros((3, 3)))
-        return links.torque(thetas)
-
-    def torque_at(self, q: Array, qd: float = 0.0) -> Array:
-        """Return ``torque`` (N, n) at positions q (N, n) [N m], where all joints move at one
-        velocity qd that does not change.
-        """
-        zero = np.zeros_like(q)
-        return self.torque(motion_of_samples(q, zero + qd, zero))
 
     @property
     def missing_limits(self) -> Iterator[str]:
@@ -187,13 +87,8 @@ class ExcitationProblem:
         spin, velocity = np.split(links.velocity[-1][:, None], 2)
         corners = velocity + spatial.cross(spin, self.tool.T[:, :, None])
         fastest = np.max(np.linalg.norm(corners, axis=0), axis=0)
-        torque = self._torque(motion, links)
+        torque = self.torque_of_links(motion, links)
         return self.limits.signals(motion.q, motion.qd, motion.qdd, torque, fastest)
-
-
-def motion_of_samples(q: Array, qd: Array, qdd: Array) -> Motion:
-    """Return samples (N, n) as a motion; neither torques nor limits depend on their times."""
-    return Motion(np.arange(float(len(q))), q, qd, qdd)
 
 
 def build_problem(

@@ -33,16 +33,12 @@ from operator import attrgetter
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.expected.criterion import Criterion, PriorKnowledge, gradient_of
+from robot_sysid.expected.planned_arm import motion_of_samples
 from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion.clearance import SEARCH_HORIZON, TightPairs
-from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
 from robot_sysid.motion.limit_check import keeps_limits
-from robot_sysid.motion.problem import (
-    LIMIT_SHARE,
-    OBSTACLE_LENGTH,
-    ExcitationProblem,
-    motion_of_samples,
-)
+from robot_sysid.motion.problem import LIMIT_SHARE, OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.records.limits import ROUNDING, limit_name, limited_quantities
 from robot_sysid.records.messages import Progress

@@ -46,7 +46,7 @@ class CheckedPlan:
         """Why the trajectory must not be run, or None."""
         if self.check is None or not self.check.excesses:
             return None
-        from robot_sysid.motion.prediction import excess_text
+        from robot_sysid.motion.plan_lines import excess_text
 
         broken = excess_text(self.check.excesses[0])
         return f"this trajectory must not be run: it breaks the {broken}"
@@ -164,7 +164,7 @@ def _plan_at_full_speed(
     if problem is None:
         return trajectory.generate_excitation_trajectory(robot, rng, duration)
     if is_designed(config):
-        from robot_sysid.motion.expected_errors import prior_knowledge
+        from robot_sysid.expected.recording import prior_knowledge
         from robot_sysid.motion.search import Design, design_excitation
 
         knowledge = prior_knowledge(problem, config.estimation, config.aim.target)

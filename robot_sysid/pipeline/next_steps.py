@@ -8,9 +8,12 @@ from typing import Any, NamedTuple
 
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion import PAYLOAD_ORDER
 from robot_sysid.records.messages import NextStep
-from robot_sysid.records.option_fields import command_arguments, options_of_all
+from robot_sysid.records.option_fields import (
+    PAYLOAD_ORDER,
+    command_arguments,
+    options_of_all,
+)
 
 _WEIGHED = (
     "payload {model} --empty {folder}/empty.csv {folder}/empty_again.csv --loaded "

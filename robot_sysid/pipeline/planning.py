@@ -32,6 +32,7 @@ from robot_sysid.records.option_fields import (
     given_values,
     options_of_all,
 )
+from robot_sysid.results.lines import error_lines, subject_text
 from robot_sysid.trajectory import motion_chunks
 from robot_sysid.wording import option_name
 
@@ -47,7 +48,7 @@ LEAST_GAIN = 0.05
 what is promised of a file changes by as much with other made-up motions."""
 
 if TYPE_CHECKING:
-    from robot_sysid.motion.prediction import Prediction
+    from robot_sysid.expected.recording import Prediction
     from robot_sysid.motion.problem import ExcitationProblem
     from robot_sysid.pipeline.motors import MotionChunk, WeightChunk
 
@@ -60,8 +61,8 @@ def predict_plan(
     There is no prediction where the motion cannot be processed like a log. The lines state limits
     and expected errors.
     """
-    from robot_sysid.motion import expected_errors
-    from robot_sysid.motion.prediction import error_lines, limit_lines, motion_lines
+    from robot_sysid.expected.recording import predict
+    from robot_sysid.motion.plan_lines import limit_lines, motion_lines
 
     problem = checked.problem
     plan = checked.plan
@@ -71,9 +72,8 @@ def predict_plan(
     lines = [*limit_lines(problem, plan, check)]
     rate = config.trajectory.sample_rate
     try:
-        prediction = expected_errors.predict(
-            problem, plan, rate, config.estimation, config.aim
-        )
+        target = config.aim.target
+        prediction = predict(problem, plan, rate, config.estimation, target)
         lines += error_lines(prediction)
     except InputError as error:
         lines.append(f"What errors it will leave cannot be predicted: {error}")
@@ -263,7 +263,7 @@ def purpose_shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
 
 def _weighing_shortfall(prediction: Prediction) -> str:
     """Return why a motion tells nothing of the load that it is to weigh; "" where it does."""
-    mass = f"the mass of {prediction.subject}"
+    mass = f"the mass of {subject_text(prediction)}"
     share = prediction.relative_mass_error
     if np.isinf(share):
         # Where no motion determines the mass by these torques, the lines on the plan say so.

@@ -23,8 +23,6 @@ from robot_sysid.faults.gate import accepted_doubts, judge, usable_fit
 from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import find_flange
-from robot_sysid.motion import EMPTY, LOADED
-from robot_sysid.motion.promise import with_promise
 from robot_sysid.records import (
     Array,
     DataOrigin,
@@ -35,9 +33,9 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Detail, Progress, Remark
-from robot_sysid.records.option_fields import SCALE, joint_factors
+from robot_sysid.records.option_fields import EMPTY, LOADED, SCALE, joint_factors
 from robot_sysid.results import verdicts
-from robot_sysid.results.identification import link_result
+from robot_sysid.results.identification import link_result, with_other_motions
 from robot_sysid.results.payload import payload_result
 from robot_sysid.results.record import Identification
 from robot_sysid.results.rules import OF_ACCEPTED
@@ -156,7 +154,7 @@ def _result(
         others.append((pieces, log.name))
     errors = [prediction_error(fitted, *other) for other in others]
     result = link_result(fitted, file, errors, origin, notes, others)
-    return with_promise(result, fitted, file)
+    return with_other_motions(result, fitted, file)
 
 
 def identify_payload(
@@ -226,7 +224,7 @@ def identify_payload(
     divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
     result = payload_result(fitted, weighed, file, flange, origin, notes, divided)
     if file is not None:
-        result = with_promise(result, fitted, file)
+        result = with_other_motions(result, fitted, file)
     passed = accepted_doubts(judged.findings, config.log.accept)
     return _with_doubts(result, passed)
 

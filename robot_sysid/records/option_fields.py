@@ -97,6 +97,13 @@ DEFAULT_MAX_VELOCITY = 2.0
 TOP_FREQUENCY_HZ = 0.6
 """Highest frequency of designed and random motions [Hz]. Where no acceleration limit is given, the
 limit of a designed one is what full speed at this frequency needs."""
+EMPTY = "A"
+"""Letter of ``--order`` for a recording without the payload."""
+LOADED = "B"
+"""Letter of ``--order`` for a recording with the payload."""
+PAYLOAD_ORDER = "ABBA"
+"""Order in which a motion planned for a payload is recorded: it separates a drift of friction from
+the payload."""
 Check = Callable[[Any], Optional[str]]
 """Returns what is wrong with a value, as the end of a sentence that begins with the option's flag,
 or None where nothing is."""

@@ -5,6 +5,7 @@ Shapes: n joints of the chain.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 
@@ -27,7 +28,10 @@ from robot_sysid.estimate.restricted_fit import (
     offsets_of_model,
     straight_of,
 )
+from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.estimate.trust import missed_friction
+from robot_sysid.expected.errors import ExpectedSquares
+from robot_sysid.expected.other_motions import OtherMotions
 from robot_sysid.records import DataOrigin, Motion, Traces, Validation
 from robot_sysid.records.messages import Remark, says
 from robot_sysid.records.quantities import (
@@ -41,15 +45,31 @@ from robot_sysid.results.notes import (
     curve_notes,
     file_notes,
     link_notes,
+    other_motion_notes,
+    part_names,
     result_notes,
     wrong_links,
 )
-from robot_sysid.results.record import Identification, ModelFile, Payload
-from robot_sysid.results.rules import OF_ARM, ArmEvidence
+from robot_sysid.results.reasons import is_hardly_better
+from robot_sysid.results.record import (
+    Elsewhere,
+    ErrorPart,
+    Identification,
+    ModelFile,
+    MotionErrors,
+    NextMotion,
+    Payload,
+)
+from robot_sysid.results.rules import OF_ARM, OF_OTHER_MOTIONS, ArmEvidence
 from robot_sysid.results.traces import FitTraces
 from robot_sysid.results.verdicts import judge
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.process import FilteredRecording
+
+PARTS = 5
+"""Number of causes that are listed of an error on other motions."""
+FASTER = 2.0
+"""Times the error at the log's speeds from which the faster motions' is said to come from speed."""
 
 
 def link_result(
@@ -232,3 +252,65 @@ def judged_files(file: ModelFile, model_bends: bool) -> list[ModelFile]:
     """
     files = [each for each in (file.curved, file) if each is not None]
     return files[:1] if model_bends else files
+
+
+def with_other_motions(
+    result: Identification, fitted: Fit, file: Fit
+) -> Identification:
+    """Return a result with the errors to expect of its model files on other motions, and notes.
+
+    Nothing is expected where the fit does not fit.
+
+    Args:
+        result: of the fit and the file.
+        fitted: the fit of all terms.
+        file: the fit of the model file, whose friction may bend.
+    """
+    if result.file is None or not result.verdict.is_trustworthy:
+        return result
+    motions = OtherMotions(fitted)
+    written = replace(
+        result.file, elsewhere=errors_elsewhere(motions, straight_of(file))
+    )
+    if written.curved is not None:
+        curved = replace(written.curved, elsewhere=errors_elsewhere(motions, file))
+        written = replace(written, curved=curved)
+    remarks = [*result.remarks, *says(other_motion_notes(motions))]
+    elsewhere = (written.curved or written).elsewhere
+    # A payload is what was asked for, whatever the file beside it is worth.
+    if result.payload is None and elsewhere is not None:
+        remarks += judge(OF_OTHER_MOTIONS, elsewhere)
+    return replace(result, file=written, remarks=tuple(remarks))
+
+
+def errors_elsewhere(motions: OtherMotions, file: Fit) -> Elsewhere:
+    """Return the errors to expect of a model file, ``file`` its fit, and of the model before."""
+    fitted = motions.fitted
+    model = dict(fitted.arm.model)
+    if fitted.question.loaded:
+        model.update((name, file.by_name[name]) for name in PAYLOAD_NAMES)
+    before = motions.errors(model, motions.fast)
+    after = motions.errors(file.by_name, motions.fast)
+    of_log = motions.errors(file.by_name, motions.slow)
+    share = after.relative_error
+    is_slow = share >= FASTER * of_log.relative_error
+    parts = after.parts(part_names(fitted.arm, motions.fast))
+    further, error = motions.next_motion(file, share)
+    return Elsewhere(
+        speed=motions.speed,
+        speed_unit=motions.speed_unit,
+        before=_motion_errors(before),
+        after=_motion_errors(after),
+        at_log_speeds=_motion_errors(of_log),
+        log_speed=motions.log_speed,
+        faster=after.worst_joint if is_slow else "",
+        still=motions.still,
+        parts=tuple(itertools.starmap(ErrorPart, [*parts.items()][:PARTS])),
+        for_like_motions=is_hardly_better(before.relative_error, share),
+        next=None if further is None else NextMotion(further.words, error),
+    )
+
+
+def _motion_errors(squares: ExpectedSquares) -> MotionErrors:
+    """Return expected squares as errors over the torque."""
+    return MotionErrors(squares.relative_error, squares.relative_error_per_joint)

@@ -1,4 +1,4 @@
-"""What the console prints of a result: a view of the content of params.json.
+"""What the console prints of a result, a view of the content of params.json, and of a plan.
 
 The verdict says in one line whether to use the result, how much better it is than the model before,
 and what limits it. It is printed last, with the files to use and the next step.
@@ -13,6 +13,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from robot_sysid.expected.recording import Prediction
+from robot_sysid.expected.unrecorded_arm import ExpectedFile
 from robot_sysid.records import ITSELF
 from robot_sysid.records.controllers import SIMULATORS
 from robot_sysid.records.file_access import (
@@ -21,7 +23,13 @@ from robot_sysid.records.file_access import (
     curved_file_in,
     models_in,
 )
-from robot_sysid.records.messages import Detail, NextStep, percent, quoted_text
+from robot_sysid.records.messages import (
+    Detail,
+    NextStep,
+    percent,
+    quoted_text,
+    size_text,
+)
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD
@@ -41,10 +49,19 @@ from robot_sysid.results.table import (
 )
 from robot_sysid.results.verdicts import Verdict
 from robot_sysid.spatial import PARAMETER_NAMES
+from robot_sysid.wording import option_name, option_setting
 
 SMALL = 0.01
 """Size below which all numbers of a line have two digits of the largest in place of three decimals.
 """
+LEAST_MASS = 1e-4
+"""Smallest mass that is written as a number [kg]: no arm shows a tenth of a gram."""
+LEAST_MILLIMETRES = 0.01
+"""Smallest length that is written as a number [mm]."""
+LARGE_SHARE = 0.2
+"""Predicted standard error over the parameter's size above which the parameter is named."""
+RECORDED_FOR_PAYLOAD = "Recorded empty, loaded, loaded, empty"
+"""``PAYLOAD_ORDER`` in words, as a sentence begins."""
 
 
 def result_lines(content: Content, links: bool) -> list[str]:
@@ -358,3 +375,91 @@ def last_lines(
         lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
     lines += step.lines() if step else ()
     return lines
+
+
+# ---- what a plan expects
+
+
+def file_line(file: ExpectedFile, mass_error: float) -> str:
+    """Return how far off a file is expected to be, as a sentence.
+
+    ``mass_error`` is the standard error of the mass of what the last link carries [kg].
+    """
+    details = []
+    if file.friction is not None:
+        details.append(f"friction to {percent(file.friction)}")
+    if np.isfinite(mass_error):
+        details.append(f"a load to ± {_mass_text(mass_error)}")
+    sentence = (
+        f"After this motion the written file is expected to be {percent(file.after)} off on any "
+        f"motion up to {file.speed:.2g} {file.speed_unit} (the model: {percent(file.before)})"
+    )
+    return "; ".join([sentence, ", ".join(details)]) if details else sentence
+
+
+def error_lines(prediction: Prediction) -> Iterator[str]:
+    """Yield the errors to expect of the written file, those that an identification will state, and
+    the largest causes of these.
+    """
+    if prediction.file is not None:
+        yield file_line(prediction.file, float(prediction.errors[0]))
+    recorded = "Recorded once"
+    note = "; the torques that these numbers make together are known better"
+    if prediction.load is not None:
+        recorded = RECORDED_FOR_PAYLOAD
+        note = ""
+    subject = subject_text(prediction)
+    yield f"{recorded}, it determines {subject} with these errors{note}:"
+    mass = prediction.errors[0]
+    centre = prediction.centre_error
+    # The causes, the one with the largest error of the mass first.
+    causes = sorted(prediction.by_cause.items(), key=lambda cause: -cause[1][0])
+    if np.isfinite(mass):
+        share = percent(prediction.relative_mass_error)
+        yield f"  mass ± {_mass_text(mass)} ({share}), limited by {causes[0][0]}"
+    if np.isfinite(centre):
+        cause = max(causes, key=lambda cause: cause[1][1])[0]
+        yield f"  centre of mass ± {_length_text(centre)}, limited by {cause}"
+    if prediction.link_mass_errors:
+        listed = ", ".join(
+            f"{name} {percent(error)}"
+            for name, error in prediction.link_mass_errors.items()
+        )
+        yield f"  mass of the other links: {listed}"
+    uncertain = []
+    relative_errors = prediction.errors / prediction.size
+    for name, error in zip(PARAMETER_NAMES, relative_errors):
+        if error > LARGE_SHARE:
+            known = percent(error) if np.isfinite(error) else "not identified"
+            uncertain.append(f"{name} {known}")
+    if uncertain:
+        yield f"  above {percent(LARGE_SHARE)} of their size: {', '.join(uncertain)}"
+    for combination in prediction.invisible:
+        yield (
+            f"No motion of these joints identifies {combination}: use "
+            f"{option_setting('torques', 'chain')} if only the last joint is used now, or "
+            "mount the base at another angle"
+        )
+    for cause, (mass_error, centre_error) in causes:
+        yield Detail(
+            f"  by {cause}: mass {_mass_text(mass_error)}, centre of mass "
+            f"{_length_text(centre_error)}"
+        )
+
+
+def subject_text(prediction: Prediction) -> str:
+    """Return which body errors are expected of, in words."""
+    if prediction.load is None:
+        return prediction.body
+    reserve = option_name("payload_reserve")
+    return f"a load of {prediction.load:.3g} kg ({reserve} states another one)"
+
+
+def _mass_text(kilograms: float) -> str:
+    """Return a mass with two digits."""
+    return size_text(kilograms, LEAST_MASS, "kg")
+
+
+def _length_text(metres: float) -> str:
+    """Return a length in millimetres with two digits."""
+    return size_text(1e3 * metres, LEAST_MILLIMETRES, "mm")

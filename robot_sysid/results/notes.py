@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid.dynamics.friction import OFFSET
+from robot_sysid.dynamics.friction import OFFSET, ROTOR
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
@@ -20,12 +20,24 @@ from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.quantities import quantity
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.restricted_fit import error_without_rotors, gravity_in
-from robot_sysid.estimate.terms import SCALES, ZEROS
+from robot_sysid.estimate.rows import Sums
+from robot_sysid.estimate.terms import (
+    FRICTION,
+    FURTHER_FRICTION,
+    MOTORS,
+    PAYLOAD,
+    SCALES,
+    TILT,
+    ZEROS,
+    ArmTerms,
+    Term,
+)
 from robot_sysid.estimate.trust import rotor_biases, wrong_moment
+from robot_sysid.expected.other_motions import OtherMotions
 from robot_sysid.records import InertialParameters
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
-from robot_sysid.records.messages import Level, Remark, percent, with_error
+from robot_sysid.records.messages import Detail, Level, Remark, percent, with_error
 from robot_sysid.records.quantities import (
     BodyEstimate,
     FrictionCurve,
@@ -268,3 +280,63 @@ def unknown_inertia(payload: BodyEstimate) -> str:
         f"the payload's principal moments of inertia, {listed} kg·m², do not differ significantly "
         "from zero"
     )
+
+
+def other_motion_notes(motions: OtherMotions) -> Iterator[str]:
+    """Yield sentences on where the error to expect on other motions does not hold."""
+    fitted = motions.fitted
+    if motions.still:
+        yield (
+            f"{', '.join(motions.still)} stood still: the error on other motions takes friction "
+            "there to be as far off the model's as that of other joints, and rotors to be the "
+            "model's"
+        )
+    names = fitted.arm.robot.joint_names
+    is_moved = [name not in motions.still for name in names]
+    joints = [*itertools.compress(names, motions.faster & is_moved)]
+    if joints:
+        listed = "all joints" if len(joints) == len(names) else ", ".join(joints)
+        yield (
+            f"the logs are slow for {listed}: friction at twice their speed and more is not "
+            "measured, so that the error to expect on other motions is more likely too high, "
+            "at most twice, than too low"
+        )
+    offsets = fitted.arm.terms[OFFSET.name].parameters
+    clear = [
+        f"{each.of} {fitted.by_name[each.key]:.2g} {each.unit}"
+        for each in offsets
+        if abs(fitted.by_name[each.key]) > SURE * fitted.error_of(each.key)
+    ]
+    if clear:
+        yield Detail(
+            f"offsets of torque are taken to be the sensors' ({', '.join(clear)}): if a cable "
+            "or a spring makes them, no number here knows how they change with the position"
+        )
+    yield Detail(
+        "the error on other motions is of this arm as it was: after a change of its friction, "
+        "or of another arm of its type, files were up to 3.4 times as far off"
+    )
+
+
+def part_names(arm: ArmTerms, sums: Sums) -> list[str]:
+    """Return what each parameter (p,) of made-up motions is a part of, in words."""
+    words: dict[str, str] = {}
+    for term in arm.terms.values():
+        words.update(_term_parts(term))
+    for link, names in arm.links.items():
+        body = arm.robot.links[link].body_name
+        words.update(dict.fromkeys(names[:4], f"mass and centre of {body}"))
+        words.update(dict.fromkeys(names[4:], f"inertia of {body}"))
+    return [words[name] for name in sums.names]
+
+
+def _term_parts(term: Term) -> Iterator[tuple[str, str]]:
+    """Yield the name of each parameter of a term and what it is a part of, in words."""
+    shared = {TILT: "direction of gravity", PAYLOAD: "payload"}.get(term.cause)
+    of_sensor = {SCALES: "torque scale of ", ZEROS: "encoder zero of "}.get(term.cause)
+    for parameter in term.parameters:
+        kind = of_sensor or f"{term.cause} of "
+        if term.cause in (FRICTION, FURTHER_FRICTION, MOTORS):
+            others = {ROTOR.name: "rotor of ", OFFSET.name: "torque offset of "}
+            kind = others.get(parameter.name, "friction of ")
+        yield parameter.key, shared or f"{kind}{parameter.of}"

@@ -31,7 +31,7 @@ from robot_sysid.records import (
     RobotModel,
     Validation,
 )
-from robot_sysid.records.levels import INTERVAL, SURE
+from robot_sysid.records.levels import INTERVAL, LIKE_LOG, SURE
 from robot_sysid.records.messages import Remark, percent, torque_unit, with_error
 from robot_sysid.records.quantities import BodyEstimate, Quantity
 from robot_sysid.results.record import Elsewhere
@@ -249,6 +249,16 @@ def poor_elsewhere(errors: Elsewhere) -> Iterator[str]:
     share = errors.after.relative_error
     if share > WORST_FILE:
         yield f"on other motions about {percent(share)} of the torque is expected to be wrong"
+
+
+def is_hardly_better(before: float, after: float) -> bool:
+    """Return whether a file is so little better than the model on other motions that its use is for
+    motions like the logs'.
+
+    Args:
+        before, after: errors to expect of the model and of the file.
+    """
+    return after > LIKE_LOG * before
 
 
 def in_spite_of_doubts(doubts: Sequence[Remark]) -> Iterator[str]:

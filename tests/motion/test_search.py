@@ -29,8 +29,8 @@ from rigs.arms.excitation_arms import (
 from rigs.arms.small_arms import SEEDS
 from rigs.files.notes import NoteRecorder
 from robot_sysid.errors import InputError
+from robot_sysid.expected.criterion import Criterion
 from robot_sysid.motion import search
-from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.search import (
     GRID_PER_CYCLE,

@@ -12,8 +12,9 @@ from rigs.arms.small_arms import X, Y, Z
 from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
+from robot_sysid.expected.recording import Prediction
+from robot_sysid.expected.unrecorded_arm import ExpectedFile
 from robot_sysid.motion import LimitOptions
-from robot_sysid.motion.prediction import ExpectedFile, Prediction
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.motions import CheckedPlan
@@ -79,7 +80,7 @@ def predicted(mass_error, file=None):
     """A made-up prediction for a mass of 1 kg."""
     errors = np.full(10, mass_error)
     causes = {"links": (mass_error, 0.1)}
-    return Prediction("Once", "link1", np.ones(10), errors, causes, {}, (), file)
+    return Prediction("link1", None, np.ones(10), errors, causes, {}, (), file)
 
 
 def expected(before, after):

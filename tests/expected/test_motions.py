@@ -6,7 +6,7 @@ from rigs.arms import small_arms
 from rigs.arms.excitation_arms import robot
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.terms import ArmTerms
-from robot_sysid.motion.elsewhere import MOTIONS, made_up_motions, sums_elsewhere
+from robot_sysid.expected.motions import MOTIONS, made_up_motions, sums_elsewhere
 
 ARM = robot(
     small_arms.serial_arm(

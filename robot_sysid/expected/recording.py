@@ -8,12 +8,14 @@ fit of these rows has with the terms and priors of the identification, without a
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robot_sysid.estimate.choose import fastest_of, motors_of, speeds_in
-from robot_sysid.estimate.fit import Fit, Problem
+from robot_sysid.estimate.fit import NOISE, Fit, Problem
 from robot_sysid.estimate.identifiability import describe
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
@@ -27,19 +29,21 @@ from robot_sysid.estimate.terms import (
     SCALES,
     ArmTerms,
 )
-from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
-from robot_sysid.motion.expected_file import Judgement, is_held
-from robot_sysid.motion.information import Criterion, FileKnowledge, PriorKnowledge
-from robot_sysid.motion.prediction import Prediction
-from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.expected.criterion import Criterion, FileKnowledge, PriorKnowledge
+from robot_sysid.expected.planned_arm import PlannedArm
+from robot_sysid.expected.unrecorded_arm import ExpectedFile, UnrecordedArm, is_held
 from robot_sysid.records import Array, MotionPlan, join_recordings
+from robot_sysid.records.option_fields import LOADED, PAYLOAD_ORDER
 from robot_sysid.records.usual_errors import FRICTION_DRIFT
 from robot_sysid.signals.process import FilteredRecording, low_pass_recordings
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.trajectory import sample_times
-from robot_sysid.wording import option_name
 
+LINK_TARGET = "link"
+ARM_TARGET = "arm"
+PAYLOAD_TARGET = "payload"
+"""What a motion is to identify: the last link, the whole arm's file, a payload by difference."""
 TYPICAL_LOAD = 0.025
 """Mass of a payload before it is known, as a share of the arm's moving mass: about a tenth of what
 arms of this mass are rated for."""
@@ -55,8 +59,56 @@ HIGHEST_RATE_HZ = 200.0
 sample is scaled to the lower rate."""
 
 
+@dataclass(frozen=True)
+class Prediction:
+    """Standard errors that are expected of an identification of one recording of a motion.
+
+    Attributes:
+        body: name of the last link, which is identified where no load is weighed.
+        load: mass of the payload that the errors are of [kg]; None where none is weighed.
+        size: (10,) magnitude that each error is compared with: m, m L and m L^2 with a length L
+            of the body.
+        errors: (10,) of its parameters; infinite where the model's value stays.
+        by_cause: cause of errors to the errors that it alone makes of the mass [kg] and of the
+            centre of mass [m].
+        link_mass_errors: name of every other link to the standard error of its mass over its mass.
+        invisible: combinations of parameters that no motion of these joints shows, in words.
+        file: what the written file is expected to be; None where a payload is weighed.
+    """
+
+    body: str
+    load: float | None
+    size: Array
+    errors: Array
+    by_cause: Mapping[str, tuple[float, float]]
+    link_mass_errors: Mapping[str, float]
+    invisible: tuple[str, ...]
+    file: ExpectedFile | None = None
+
+    @property
+    def relative_mass_error(self) -> float:
+        """Predicted standard error of the mass over the mass; infinite if not identified."""
+        return float(self.errors[0] / self.size[0])
+
+    def relative_mass_error_after(self, factor: float) -> float:
+        """Return what it is if the motion lasts so many times as long, and shows as much a second.
+
+        Noise averages out, what the model does not explain stays.
+        """
+        variances = {cause: mass**2 for cause, (mass, _) in self.by_cause.items()}
+        variances[NOISE] = variances.get(NOISE, 0.0) / factor
+        return float(math.sqrt(sum(variances.values())) / self.size[0])
+
+    @property
+    def centre_error(self) -> float:
+        """Predicted standard error of the centre of mass [m]; infinite if not identified."""
+        if not np.all(np.isfinite(self.errors[:4])):
+            return np.inf
+        return math.hypot(*(centre for _, centre in self.by_cause.values()))
+
+
 def _arm_terms(
-    problem: ExcitationProblem,
+    problem: PlannedArm,
     options: EstimationOptions,
     loaded: bool = False,
     speeds: Array | None = None,
@@ -72,21 +124,21 @@ def _arm_terms(
 
 
 def prior_knowledge(
-    problem: ExcitationProblem, options: EstimationOptions, target: str
+    problem: PlannedArm, options: EstimationOptions, target: str
 ) -> PriorKnowledge:
     """Return the priors of an identification of an arm before there is a recording.
 
     Args:
         problem: the arm, its limits and the joints whose torques are used.
         options: of the identification, with the uncertainties that the user states.
-        target: "link", "arm" or "payload": what the motion is to identify.
+        target: what the motion is to identify.
     """
-    if target == "arm":
+    if target == ARM_TARGET:
         return _file_knowledge(problem, options)
     robot = problem.robot
     deviations: dict[str, Array] = {}
     link_factor = np.zeros((N_INERTIAL * len(problem.links[1:]), 0))
-    if target == "payload":
+    if target == PAYLOAD_TARGET:
         # In the difference of two recordings only the drift of friction between them remains.
         for name in ("coulomb", "viscous"):
             friction = vars(robot.friction)[name]
@@ -112,13 +164,11 @@ def prior_knowledge(
     return PriorKnowledge(link_factor, deviations)
 
 
-def _file_knowledge(
-    problem: ExcitationProblem, options: EstimationOptions
-) -> PriorKnowledge:
+def _file_knowledge(problem: PlannedArm, options: EstimationOptions) -> PriorKnowledge:
     """Return the priors of all terms of an arm whose whole file is to be identified."""
     arm = _arm_terms(problem, options)
-    judgement = Judgement.of(problem, arm)
-    terms = judgement.terms(options, is_replaced=False)
+    unrecorded = UnrecordedArm.of(problem, arm)
+    terms = unrecorded.terms(options, is_replaced=False)
     factors = {LINKS: np.zeros((N_INERTIAL * len(arm.others), 0))}
     deviations: dict[str, Array] = {}
     for term in terms:
@@ -134,13 +184,13 @@ def _file_knowledge(
         for term in terms
         if term.cause in _OF_JOINTS and is_held(term, options.kept)
     ]
-    motions = [(motion.q, motion.qd, motion.qdd) for motion in judgement.motions]
+    motions = [(motion.q, motion.qd, motion.qdd) for motion in unrecorded.motions]
     elsewhere = np.concatenate(motions, axis=1)
     file = FileKnowledge(factors[LAST_LINK], tuple(held), elsewhere)
     return PriorKnowledge(factors[LINKS], deviations, file)
 
 
-def typical_load(problem: ExcitationProblem) -> Array:
+def typical_load(problem: PlannedArm) -> Array:
     """Return the parameters (10,) of the payload that errors are stated for, before it is known.
 
     It has the shape of the terminal link. Its mass is the one that torque is reserved for
@@ -153,11 +203,11 @@ def typical_load(problem: ExcitationProblem) -> Array:
 
 
 def predict(
-    problem: ExcitationProblem,
+    problem: PlannedArm,
     plan: MotionPlan,
     sample_rate: float,
     options: EstimationOptions,
-    aim: AimOptions,
+    target: str,
 ) -> Prediction:
     """Return the standard errors to expect of an identification from recordings of a motion.
 
@@ -168,24 +218,21 @@ def predict(
     """
     robot = problem.robot
     names: tuple[str, ...] = PARAMETER_NAMES
-    recordings = "Recorded once"
-    subject = robot.body_name
+    load = None
     theta = robot.prior.theta
     size = robot.prior.scale
-    if aim.target == "payload":
+    if target == PAYLOAD_TARGET:
         names = PAYLOAD_NAMES
-        recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
-        reserve = option_name("payload_reserve")
-        subject = f"a load of {theta[0]:.3g} kg ({reserve} states another one)"
-        size = theta[0] / robot.prior.mass * size
-    fitted = expected_fit(problem, plan, sample_rate, options, aim)
+        load = float(theta[0])
+        size = load / robot.prior.mass * size
+    fitted = expected_fit(problem, plan, sample_rate, options, target)
     file = None
-    if aim.target != "payload":
+    if target != PAYLOAD_TARGET:
         # A motion for the last link is one for a link with another tool than the model's.
-        is_replaced = aim.target == "link"
-        judgement = Judgement.of(problem, fitted.arm)
-        file = judgement.expected_file(fitted, is_replaced)
+        is_replaced = target == LINK_TARGET
+        unrecorded = UnrecordedArm.of(problem, fitted.arm)
+        file = unrecorded.expected_file(fitted, is_replaced)
     at = fitted.at(names)
     selection = np.eye(len(fitted.names))[at]
     mass_errors = fitted.budget(selection[:1])
@@ -196,17 +243,17 @@ def predict(
     }
 
     link_errors = {}
-    for index in fitted.arm.others if aim.target == "arm" else ():
+    for index in fitted.arm.others if target == ARM_TARGET else ():
         link = robot.links[index]
         mass, *_ = fitted.arm.links[index]
         if mass in fitted.names:
             link_errors[link.body_name] = fitted.error_of(mass) / float(link.theta[0])
     # What no motion shows of a body is a question of the body alone, whatever else is identified.
-    of_body = "payload" if aim.target == "payload" else "link"
+    of_body = PAYLOAD_TARGET if target == PAYLOAD_TARGET else LINK_TARGET
     knowledge = prior_knowledge(problem, options, of_body)
     return Prediction(
-        recordings=recordings,
-        subject=subject,
+        body=robot.body_name,
+        load=load,
         size=size,
         errors=fitted.errors[at],
         by_cause=by_cause,
@@ -225,11 +272,11 @@ def centre_slopes(theta: Array) -> Array:
 
 
 def expected_fit(
-    problem: ExcitationProblem,
+    problem: PlannedArm,
     plan: MotionPlan,
     sample_rate: float,
     options: EstimationOptions,
-    aim: AimOptions,
+    target: str,
 ) -> Fit:
     """Return the fit to expect of recordings of a motion: errors without an estimate.
 
@@ -238,12 +285,13 @@ def expected_fit(
         plan: the motion.
         sample_rate: of the recording, with independent noise in each sample [Hz].
         options: of the identification.
-        aim: purpose of the motion. One for a payload is recorded in the order ``PAYLOAD_ORDER``.
+        target: what the motion is to identify. One for a payload is recorded in the order
+            ``PAYLOAD_ORDER``.
 
     Raises:
         InputError: the motion cannot be processed as a log.
     """
-    loaded = aim.target == "payload"
+    loaded = target == PAYLOAD_TARGET
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     processed = _processed_motion(problem, plan, rate, options)
     arm = _arm_terms(problem, options, loaded, speeds_in([processed]))
@@ -267,10 +315,7 @@ def expected_fit(
 
 
 def _processed_motion(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    options: EstimationOptions,
+    problem: PlannedArm, plan: MotionPlan, rate: float, options: EstimationOptions
 ) -> FilteredRecording:
     """Return a recording of a motion at a rate [Hz] without noise, processed like a log.
 

@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 from rigs.arms import small_arms
 from rigs.arms.excitation_arms import make_design, make_problem, robot
 from rigs.arms.small_arms import Z, hinge, link, world
+from robot_sysid.expected.recording import centre_slopes
 from robot_sysid.motion.clearance import Closest
-from robot_sysid.motion.expected_errors import centre_slopes
 from robot_sysid.motion.limit_check import LimitCheck, check_limits
 from robot_sysid.motion.mounting import mounting_plane
-from robot_sysid.motion.prediction import limit_lines, motion_lines
+from robot_sysid.motion.plan_lines import limit_lines, motion_lines
 from robot_sysid.motion.search import draw_trajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
 

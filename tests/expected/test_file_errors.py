@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from rigs.arms.small_arms import SEEDS
-from robot_sysid.motion.file_errors import FileErrors
+from robot_sysid.expected.file_errors import FileErrors
 
 SIZE = 7
 

@@ -6,11 +6,11 @@ its confidence ellipsoid (``Volume``).
 
 Joint j delivers equations tau_j = Y_j theta + Z_j x_j, theta the parameters of all links and x_j
 the unknowns of this joint alone, friction and torque scale, with the priors of the one fit
-(``expected_errors.prior_knowledge``). In units in which each prior has variance one, the inverse
+(``recording.prior_knowledge``). In units in which each prior has variance one, the inverse
 covariance of all unknowns is H = A^T A + P, A the equations over their noise and P a one for each
 unknown with a prior. A value with the derivative -tr(W dH) / 2 by H has -A W by A.
 
-Encoder zeros, gravity's direction and a delay are part of the predicted errors (``prediction``) but
+Encoder zeros, gravity's direction and a delay are part of the predicted errors (``recording``) but
 not of this number: for two arms they are less than a twentieth of any variance.
 """
 
@@ -24,8 +24,8 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import TERMS, top_speeds
 from robot_sysid.dynamics.inverse_dynamics import LinksMotion
-from robot_sysid.motion.file_errors import FileErrors
-from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.expected.file_errors import FileErrors
+from robot_sysid.expected.planned_arm import PlannedArm
 from robot_sysid.records import Array
 from robot_sysid.records.parameters import SCALE
 
@@ -145,7 +145,7 @@ class Criterion:
 
     def __init__(
         self,
-        problem: ExcitationProblem,
+        problem: PlannedArm,
         knowledge: PriorKnowledge,
         samples: float = 1.0,
         smoothing: float = SMOOTHING,
@@ -322,7 +322,7 @@ class Criterion:
         return information
 
 
-def random_motion(problem: ExcitationProblem) -> Array:
+def random_motion(problem: PlannedArm) -> Array:
     """Return unrelated random positions within the limits, velocities and accelerations (3, N, n),
     which are the same in every call.
     """

@@ -12,7 +12,7 @@ from rigs.arms.excitation_arms import known_arm, link_covariance, make_problem, 
 from rigs.arms.small_arms import random_motion
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.motion.information import Criterion, FileKnowledge, PriorKnowledge
+from robot_sysid.expected.criterion import Criterion, FileKnowledge, PriorKnowledge
 
 DEVIATIONS = dict.fromkeys(("coulomb", "viscous", "offset", "armature"), np.inf)
 DEVIATIONS |= {"scale": 0.02, "load": 0.03, "sqrt": 0.1}

@@ -32,30 +32,18 @@ from robot_sysid.records import Array
 
 
 @dataclass(frozen=True)
-class FileErrors:
-    """The squared errors of a file on some motions.
+class FileFit:
+    """How a file is fitted to P unknowns.
 
     Attributes:
-        elsewhere: (P, P) products G of the rows of these motions, per unit of each unknown.
         in_file: (P,) which unknowns the file holds.
         refitted: (P,) which of these are fitted beside the others, once those are known.
         bounded: (P,) which of these are of numbers that cannot be negative.
     """
 
-    elsewhere: Array
     in_file: NDArray[np.bool_]
     refitted: NDArray[np.bool_]
     bounded: NDArray[np.bool_]
-
-    @classmethod
-    def at_once(cls, elsewhere: Array, in_file: NDArray[np.bool_]) -> FileErrors:
-        """Return the errors of a file whose terms are all fitted at once, without bounds."""
-        return cls(elsewhere, in_file, in_file, np.zeros_like(in_file))
-
-    @property
-    def before(self) -> float:
-        """Expected squares of the model's error, whose unknowns are as large as their priors."""
-        return float(np.trace(self.elsewhere))
 
     def covariance(self, information: Array) -> Array:
         """Return the covariance (P, P) of all unknowns less those of the file, as it is fitted.
@@ -84,6 +72,27 @@ class FileErrors:
         deviations = np.sqrt(np.diag(covariance))
         excess = np.where(self.bounded, np.maximum(deviations, 1.0), 1.0)
         return np.asarray(covariance / np.outer(excess, excess))
+
+
+@dataclass(frozen=True)
+class FileErrors(FileFit):
+    """The squared errors of a file on some motions.
+
+    Attributes:
+        elsewhere: (P, P) products G of the rows of these motions, per unit of each unknown.
+    """
+
+    elsewhere: Array
+
+    @classmethod
+    def at_once(cls, elsewhere: Array, in_file: NDArray[np.bool_]) -> FileErrors:
+        """Return the errors of a file whose terms are all fitted at once, without bounds."""
+        return cls(in_file, in_file, np.zeros_like(in_file), elsewhere)
+
+    @property
+    def before(self) -> float:
+        """Expected squares of the model's error, whose unknowns are as large as their priors."""
+        return float(np.trace(self.elsewhere))
 
     def value_and_weight(self, information: Array) -> tuple[float, Array]:
         """Return ln(E / E_0) / 2 and W / E (P, P) of a file whose terms are fitted at once.

@@ -14,14 +14,13 @@ from robot_sysid.estimate.choose import solve_question
 from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS, SCALES
-from robot_sysid.motion import AimOptions
-from robot_sysid.motion.expected_errors import predict, prior_knowledge
-from robot_sysid.motion.information import Criterion
+from robot_sysid.expected.criterion import Criterion
+from robot_sysid.expected.recording import predict, prior_knowledge
 from robot_sysid.records import join_recordings
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
-from tests.motion.test_prediction import best_plan
+from tests.motion.test_plan_lines import best_plan
 
 RATE = 250.0
 SIGMA = 0.01
@@ -41,7 +40,7 @@ PROBLEM = make_problem(ARM, noise_torque=SIGMA)
 @cache
 def predict_errors(options=USUAL, target="link"):
     """Return the errors predicted for PLAN on ARM."""
-    return predict(PROBLEM, PLAN, RATE, options, AimOptions(target))
+    return predict(PROBLEM, PLAN, RATE, options, target)
 
 
 @cache
@@ -109,4 +108,4 @@ def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
         (resting, RATE, "moves faster"),
     ):
         with pytest.raises(InputError, match=message):
-            predict(PROBLEM, plan, rate, USUAL, AimOptions())
+            predict(PROBLEM, plan, rate, USUAL, "arm")

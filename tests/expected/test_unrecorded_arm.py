@@ -11,23 +11,22 @@ from rigs.arms import small_arms
 from rigs.arms.excitation_arms import make_problem, robot
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.terms import DELAY, LAST_LINK, LINKS, SCALES
-from robot_sysid.motion import AimOptions
-from robot_sysid.motion.expected_errors import expected_fit, predict, prior_knowledge
-from robot_sysid.motion.expected_file import (
-    Judgement,
+from robot_sysid.expected.criterion import Criterion
+from robot_sysid.expected.recording import expected_fit, predict, prior_knowledge
+from robot_sysid.expected.unrecorded_arm import (
+    UnrecordedArm,
     in_file,
     judging_speeds,
     model_values,
     units_of,
 )
-from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.trajectories import at_speed
 from robot_sysid.records.usual_errors import (
     ERRORS_AS_THEY_ARE,
     PLANNED_FRICTION,
     PLANNED_LEAST,
 )
-from tests.motion.test_prediction import best_plan
+from tests.motion.test_plan_lines import best_plan
 
 RATE = 250.0
 JOINT = 'range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"'
@@ -40,21 +39,21 @@ USUAL = EstimationOptions()
 HELD_ONLY = EstimationOptions(
     priors=Priors(scale=0.0, zero=0.0, gravity=0.0, friction=0.0, delay=0.0)
 )
-FILE = AimOptions("arm")
+FILE = "arm"
 
 
 @cache
-def file_after(noise, options=USUAL, aim=FILE):
+def file_after(noise, options=USUAL, target=FILE):
     """Return what is expected of the file after PLAN with some noise of the torques [N m]."""
     problem = make_problem(ARM, noise_torque=noise)
-    return predict(problem, PLAN, RATE, options, aim).file
+    return predict(problem, PLAN, RATE, options, target).file
 
 
 @cache
-def judgement():
-    """Return the judgement of files of ARM."""
+def unrecorded():
+    """Return ARM before any log."""
     problem = make_problem(ARM, noise_torque=0.01)
-    return Judgement.of(problem, expected_fit(problem, PLAN, RATE, USUAL, FILE).arm)
+    return UnrecordedArm.of(problem, expected_fit(problem, PLAN, RATE, USUAL, FILE).arm)
 
 
 def test_without_a_torque_that_can_be_read_the_file_is_the_model():
@@ -87,18 +86,18 @@ def test_a_slow_motion_makes_a_worse_file_that_is_better_than_the_model(speed):
 
 def test_another_tool_makes_the_model_worse_and_the_file_hardly():
     usual = file_after(0.01)
-    replaced = file_after(0.01, aim=AimOptions("link"))
+    replaced = file_after(0.01, target="link")
     assert replaced.before > 1.02 * usual.before
     assert replaced.after < 1.1 * usual.after
 
 
 def test_a_payload_is_weighed_and_no_file_expected():
-    assert file_after(0.01, aim=AimOptions("payload")) is None
+    assert file_after(0.01, target="payload") is None
 
 
 def test_all_terms_are_known_as_well_as_they_usually_are():
     """Coulomb friction makes its share of a joint's torque, whatever its unit."""
-    judge = judgement()
+    judge = unrecorded()
     terms = judge.terms(USUAL, is_replaced=False)
     causes = [term.cause for term in terms]
     assert DELAY not in causes
@@ -117,7 +116,7 @@ def test_all_terms_are_known_as_well_as_they_usually_are():
 def test_a_joint_that_carries_nothing_has_friction_all_the_same():
     problem = make_problem(small_arms.THREE)
     fitted = expected_fit(problem, best_plan(small_arms.THREE), RATE, USUAL, FILE)
-    judge = Judgement.of(problem, fitted.arm)
+    judge = UnrecordedArm.of(problem, fitted.arm)
     model = model_values(judge.arm, judge.sums.names)
     of_model = np.sqrt(judge.sums.squared_residuals(model) / judge.sums.row_counts)
     least = PLANNED_LEAST * np.max(of_model)
@@ -125,7 +124,7 @@ def test_a_joint_that_carries_nothing_has_friction_all_the_same():
 
 
 def test_a_file_keeps_what_it_is_told_to():
-    terms = judgement().terms(USUAL, is_replaced=False)
+    terms = unrecorded().terms(USUAL, is_replaced=False)
     names = np.array([name for term in terms for name in term.names])
 
     def held(*kept):
@@ -138,7 +137,7 @@ def test_a_file_keeps_what_it_is_told_to():
     assert not held() & {"scale", "zero", "tilt_1", "load", "bend", "fading"}
     assert "coulomb" not in held("friction") and "armature" in held("friction")
     assert "armature" not in held("rotors") and "coulomb" in held("rotors")
-    n_links = 10 * len(judgement().arm.others)
+    n_links = 10 * len(unrecorded().arm.others)
     assert np.sum(in_file(terms, ())) - np.sum(in_file(terms, ["links"])) == n_links
 
 

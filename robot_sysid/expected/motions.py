@@ -71,6 +71,15 @@ def highest_speed(robot: RobotModel, speeds: Array) -> tuple[float, str]:
     return highest, f"{position_unit(are_slides)}/s"
 
 
+def grams(sums: Sums) -> Iterator[Array]:
+    """Yield the products (p + 1, p + 1) of each joint's rows, of all columns and the torque."""
+    size = len(sums.names) + 1
+    for columns, total in zip(sums.columns, sums.totals):
+        gram = np.zeros((size, size))
+        gram[columns[:, None], columns] = total
+        yield gram
+
+
 def without_constant(products: Array, offset: int) -> Array:
     """Return products (p, p) of rows from which the constant torque of one joint is taken out.
 

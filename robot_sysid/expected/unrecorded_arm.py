@@ -1,6 +1,6 @@
 """How far off the written model file will be on any motion, before any torque is measured.
 
-Any motion is one of those that are made up all over the arm's range (``elsewhere``). What is not as
+Any motion is one of those that are made up all over the arm's range (``motions``). What is not as
 the model says are all terms of the fit, each as large as it usually is before a log; a file holds
 some of them, and the recording of a planned motion decides how well (``file_errors``).
 
@@ -44,20 +44,16 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.motion.elsewhere import (
-    highest_speed,
-    made_up_motions,
-    sums_elsewhere,
-    without_constant,
-)
-from robot_sysid.motion.file_errors import FileErrors
-from robot_sysid.motion.prediction import ExpectedFile
-from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.expected.errors import expected
+from robot_sysid.expected.file_errors import FileFit
+from robot_sysid.expected.knowledge import Knowledge
+from robot_sysid.expected.motions import highest_speed, made_up_motions, sums_elsewhere
+from robot_sysid.expected.planned_arm import PlannedArm
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY
 
 
-def judging_speeds(problem: ExcitationProblem) -> Array:
+def judging_speeds(problem: PlannedArm) -> Array:
     """Return the highest speeds (n,) of the motions that a file is judged on [rad/s or m/s].
 
     They are those that the planned motion may have; of hinges, the usual limit at most, as arms
@@ -69,8 +65,28 @@ def judging_speeds(problem: ExcitationProblem) -> Array:
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """Motions on which a model file is judged, and what may be wrong with an arm on them.
+class ExpectedFile:
+    """How far off a written model file is expected to be on motions all over the arm's range.
+
+    Attributes:
+        speed: highest speed of these motions.
+        speed_unit: its unit.
+        before: torque error of the given model over the torque, both root mean squares of all
+            joints together; constant torques, which sensors add, are no errors.
+        after: the same of the file.
+        friction: error of the file's friction over the friction; None where none is estimated.
+    """
+
+    speed: float
+    speed_unit: str
+    before: float
+    after: float
+    friction: float | None
+
+
+@dataclass(frozen=True)
+class UnrecordedArm:
+    """An arm before any log: the motions on which its file is judged, and how far off it may be.
 
     Attributes:
         arm: all terms of the arm.
@@ -86,8 +102,8 @@ class Judgement:
     torque: Array
 
     @classmethod
-    def of(cls, problem: ExcitationProblem, arm: ArmTerms) -> Judgement:
-        """Return the judgement of an arm's files, the same in every call."""
+    def of(cls, problem: PlannedArm, arm: ArmTerms) -> UnrecordedArm:
+        """Return an arm of which there is no log, with the same motions in every call."""
         rng = np.random.default_rng(0)
         motions = [*made_up_motions(problem.robot, judging_speeds(problem), rng)]
         point = replace(arm.start(), friction=arm.model)
@@ -157,17 +173,6 @@ class Judgement:
         ]
         return independent(shares * torque / np.where(column > 0.0, column, np.inf))
 
-    def products(self, terms: Sequence[Term]) -> Array:
-        """Return the products (P, P) of the columns of terms, but for constant torques.
-
-        A constant torque at a joint counts as an offset of its sensor, and not as an error.
-        """
-        products = products_of(self.sums, terms, np.ones(len(self.torque)))
-        names = [name for term in terms for name in term.names]
-        for name in self.arm.terms[OFFSET.name].names:
-            products = without_constant(products, names.index(name))
-        return products
-
     def expected_file(self, fitted: Fit, is_replaced: bool) -> ExpectedFile:
         """Return what the file is expected to be that is fitted to a planned motion's recording.
 
@@ -178,48 +183,48 @@ class Judgement:
         options = fitted.question.options
         terms = self.terms(options, is_replaced)
         units = units_of(terms)
-        products = self.products(terms)
-        lengths = [len(term.names) for term in terms]
-        held = in_file(terms, options.kept)
-        is_friction = np.repeat([_is_friction(term) for term in terms], lengths)
-        is_offset = np.repeat([term.key == OFFSET.name for term in terms], lengths)
-        bounded = np.concatenate(
-            [
-                [parameter.lower == 0.0 for parameter in term.parameters]
-                for term in terms
-            ]
-        )
-        refitted = held & (is_friction | is_offset)
-        squares = units.T @ products @ units
-        errors = FileErrors(squares, held, refitted, held & bounded)
         recorded = products_of(fitted.sums, terms, fitted.weights)
         information = units.T @ recorded @ units + np.eye(len(units))
-        covariance = errors.covariance(information)
+        of_unknowns = file_fit(terms, options.kept).covariance(information)
+        of_model = self._knowledge(terms, units @ units.T)
+        of_file = self._knowledge(terms, units @ of_unknowns @ units.T)
 
-        names = self.sums.names
-        model = model_values(self.arm, names)
-        torque_squares = np.sum(self.sums.squared_residuals(model)) + errors.before
-
-        at = np.flatnonzero(is_friction)
-        friction = errors.elsewhere[np.ix_(at, at)]
-        friction_errors = np.vdot(friction, covariance[np.ix_(at, at)])
-        stated = model[self.sums.at([n for term in terms for n in term.names])][at]
-        of_model = stated @ products[np.ix_(at, at)] @ stated
-        friction_squares = of_model + np.trace(friction)
-        speeds = np.concatenate([each.qd for each in self.motions])
+        sums = self.sums
+        model = self.arm.model
+        before = expected(model, of_model, sums)
+        after = expected(model, of_file, sums)
+        torque = np.sum(before.torque) + np.sum(before.of_joints)
+        friction = [name for term in terms if _is_friction(term) for name in term.names]
+        is_friction = np.isin(sums.names, friction)
+        stated = {name: model.get(name, 0.0) for name in friction}
+        error = expected(stated, of_file.of(is_friction), sums)
+        # A model without any friction is off by all of it.
+        whole = expected({}, of_model.of(is_friction), sums)
+        speeds = np.concatenate([motion.qd for motion in self.motions])
         fastest = np.max(np.abs(speeds), axis=0)
         speed, unit = highest_speed(self.arm.robot, fastest)
         return ExpectedFile(
             speed=speed,
             speed_unit=unit,
-            before=float(np.sqrt(errors.before / torque_squares)),
-            after=float(
-                np.sqrt(np.vdot(errors.elsewhere, covariance) / torque_squares)
-            ),
-            friction=float(np.sqrt(friction_errors / friction_squares))
-            if len(at)
+            before=_root_share(before.of_joints, torque),
+            after=_root_share(after.of_joints, torque),
+            friction=_root_share(error.of_joints, np.sum(whole.of_joints))
+            if friction
             else None,
         )
+
+    def _knowledge(self, terms: Sequence[Term], covariance: Array) -> Knowledge:
+        """Return the model's values, and errors of the parameters of terms (P, P) about them."""
+        names = self.sums.names
+        at = self.sums.at([name for term in terms for name in term.names])
+        of_all = np.zeros((len(names), len(names)))
+        of_all[at[:, None], at] = covariance
+        return Knowledge(model_values(self.arm, names), of_all)
+
+
+def _root_share(squares: Array, whole: float) -> float:
+    """Return the root of a share of squares (J,) in a whole."""
+    return float(np.sqrt(np.sum(squares) / whole))
 
 
 def model_values(arm: ArmTerms, names: Sequence[str]) -> Array:
@@ -239,6 +244,20 @@ def units_of(terms: Sequence[Term]) -> Array:
 
     factors = [term.prior.factor for term in terms if term.prior is not None]
     return np.asarray(block_diag(*factors))
+
+
+def file_fit(terms: Sequence[Term], kept: Sequence[str]) -> FileFit:
+    """Return how a model file is fitted of the parameters (P,) of terms.
+
+    ``kept`` is what the file keeps of the model.
+    """
+    lengths = [len(term.names) for term in terms]
+    is_refitted = [_is_friction(term) or term.key == OFFSET.name for term in terms]
+    bounded = [
+        parameter.lower == 0.0 for term in terms for parameter in term.parameters
+    ]
+    held = in_file(terms, kept)
+    return FileFit(held, held & np.repeat(is_refitted, lengths), held & bounded)
 
 
 def in_file(terms: Sequence[Term], kept: Sequence[str]) -> NDArray[np.bool_]:

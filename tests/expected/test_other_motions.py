@@ -14,15 +14,13 @@ from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.rows import Rows
-from robot_sysid.motion.elsewhere import made_up_motions, sums_elsewhere
-from robot_sysid.motion.promise import (
-    Promise,
-    expected_squares,
-    knowledge_of,
-    parts_of,
-    with_promise,
-)
+from robot_sysid.expected.errors import expected
+from robot_sysid.expected.knowledge import Knowledge, knowledge_of
+from robot_sysid.expected.motions import made_up_motions, sums_elsewhere
+from robot_sysid.expected.other_motions import OtherMotions
 from robot_sysid.records import Motion, Recording
+from robot_sysid.results.identification import errors_elsewhere, with_other_motions
+from robot_sysid.results.notes import other_motion_notes, part_names
 from robot_sysid.results.verdicts import Verdict
 from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.solver import exact_recording
@@ -87,7 +85,6 @@ def test_without_errors_the_squares_are_those_of_what_the_model_lacks(
 ):
     """Of an arm that is the model with offsets, judged on the model without friction's half."""
     fitted, _ = fits
-    known = knowledge_of(fitted, sums)
     offset = 0.3
     truth = {**fitted.arm.model, **dict.fromkeys(OFFSETS, offset)}
     values = np.array([truth.get(name, 0.0) for name in sums.names])
@@ -95,9 +92,8 @@ def test_without_errors_the_squares_are_those_of_what_the_model_lacks(
     for joint in MODEL.joint_names:
         held[f"coulomb[{joint}]"] *= 0.5
     nothing = np.zeros((len(values), len(values)))
-    squares = expected_squares(
-        replace(known, values=values), held, sums, nothing, counts_offsets
-    )
+    known = Knowledge(values, nothing)
+    squares = expected(held, known, sums, counts_offsets)
     motions = motions_of(5)
     tau = np.concatenate([*map(torque_of_model, motions)])
     lacking = 0.2 * np.sign(np.concatenate([motion.qd for motion in motions]))
@@ -106,7 +102,7 @@ def test_without_errors_the_squares_are_those_of_what_the_model_lacks(
         squares.of_parameters.sum(axis=1), np.sum(lacking**2, axis=0), rtol=1e-9
     )
     assert_allclose(squares.torque, np.sum(tau**2, axis=0), rtol=1e-9)
-    of_joint = squares.errors.relative_error_per_joint
+    of_joint = squares.relative_error_per_joint
     lacking_share = np.linalg.norm(lacking, axis=0) / np.linalg.norm(tau, axis=0)
     assert_allclose([of_joint[joint] for joint in sums.joints], lacking_share)
 
@@ -114,11 +110,10 @@ def test_without_errors_the_squares_are_those_of_what_the_model_lacks(
 def test_squares_of_errors_are_those_of_parameters_drawn_from_them(fits, sums):
     """tr(C G) is the mean over arms whose parameters differ by C."""
     fitted, _ = fits
-    known = knowledge_of(fitted, sums)
-    covariance = known.covariance()
+    known = knowledge_of(fitted, sums).after()
     held = dict(zip(sums.names, known.values.tolist()))
-    squares = expected_squares(known, held, sums, covariance, counts_offsets=True)
-    values, vectors = np.linalg.eigh(covariance)
+    squares = expected(held, known, sums, counts_offsets=True)
+    values, vectors = np.linalg.eigh(known.covariance)
     rng = np.random.default_rng(0)
     draws = rng.standard_normal((3000, len(values)))
     draws = draws * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
@@ -132,22 +127,23 @@ def test_squares_of_errors_are_those_of_parameters_drawn_from_them(fits, sums):
 
 def test_parts_make_up_the_whole(fits, sums):
     fitted, file = fits
-    known = knowledge_of(fitted, sums)
-    squares = expected_squares(known, file.by_name, sums, known.covariance())
-    parts = parts_of(fitted.arm, sums)
-    assert len(parts) == len(sums.names)
-    listed = squares.largest_parts(parts)
-    assert listed[0].relative_error >= listed[-1].relative_error > 0.0
+    known = knowledge_of(fitted, sums).after()
+    squares = expected(file.by_name, known, sums)
+    names = part_names(fitted.arm, sums)
+    assert len(names) == len(sums.names)
+    parts = squares.parts(names)
+    first, *_, last = parts.values()
+    assert first >= last > 0.0
     total = np.sum(squares.of_parameters) / np.sum(squares.torque)
-    assert_allclose(squares.errors.relative_error**2, total)
-    assert {part.what for part in listed} <= {*parts}
+    assert_allclose(squares.relative_error**2, total)
+    assert {*parts} <= {*names}
 
 
 def test_what_a_log_shows_is_known_better_after_it(fits, sums):
     fitted, _ = fits
     known = knowledge_of(fitted, sums)
-    before = known.covariance()
-    after = known.covariance(known.rows(sums, 15.0, known.weights))
+    before = known.after().covariance
+    after = known.after(known.rows(sums, 15.0, known.weights)).covariance
     scale = np.sqrt(np.maximum(np.diag(before), 1e-300))
     less = (before - after) / np.outer(scale, scale)
     assert np.min(np.linalg.eigvalsh(less)) > -1e-6
@@ -157,7 +153,7 @@ def test_what_a_log_shows_is_known_better_after_it(fits, sums):
 def test_nothing_known_is_as_wide_as_an_unknown_arm(fits, sums):
     """What the log lets free is bounded: the last link by itself, friction by the torque."""
     fitted, _ = fits
-    errors = np.sqrt(np.diag(knowledge_of(fitted, sums).covariance()))
+    errors = np.sqrt(np.diag(knowledge_of(fitted, sums).after().covariance))
     by_name = dict(zip(sums.names, errors.tolist()))
     bodies = zip(fitted.arm.terms["last link"].names, MODEL.prior.scale)
     assert all(by_name[name] <= 2.0 * size for name, size in bodies)
@@ -169,7 +165,7 @@ def test_a_promise_is_kept(seed):
     """The file's error against the true arm, on motions of another seed."""
     truth = drawn(seed)
     fitted, file = fit_of(truth)
-    promised = Promise(fitted).of(file)
+    promised = errors_elsewhere(OtherMotions(fitted), file)
     arm = truth.arm
     true = []
     read = motions_of(100 + seed)
@@ -192,7 +188,7 @@ def test_a_promise_is_kept(seed):
 def torque_by_terms(file, motions, values):
     """Return the torque (N, n) of what a file holds, offsets left out [N m].
 
-    It is that of the columns of terms, which test_elsewhere holds to Newton and Euler.
+    It is that of the columns of terms, which test_motions holds to Newton and Euler.
     """
     held = {**values, **dict.fromkeys(OFFSETS, 0.0)}
     torques = []
@@ -208,13 +204,13 @@ def torque_by_terms(file, motions, values):
 @pytest.mark.slow
 def test_a_joint_that_stood_still_is_named_and_counted():
     fitted, file = fit_of(drawn(3, move=with_still_joint))
-    promise = Promise(fitted)
-    promised = promise.of(file)
+    motions = OtherMotions(fitted)
+    promised = errors_elsewhere(motions, file)
     assert promised.still == ("joint2",)
-    said = " ".join(promise.limits())
+    said = " ".join(other_motion_notes(motions))
     assert "joint2 stood still" in said
-    moving = Promise(fit_of(drawn(3))[0])
-    assert "stood still" not in " ".join(moving.limits())
+    moving = OtherMotions(fit_of(drawn(3))[0])
+    assert "stood still" not in " ".join(other_motion_notes(moving))
     # A motion that moves it helps.
     assert promised.next is not None
     assert promised.next.relative_error < promised.after.relative_error
@@ -229,9 +225,9 @@ def test_slow_logs_are_told_to_be_slow(fits):
         return Motion(time, motion.q, motion.qd / 5.0, motion.qdd / 25.0)
 
     fitted, file = fit_of(drawn(3, duration=30.0, move=slowly))
-    promise = Promise(fitted)
-    assert "the logs are slow for all joints" in " ".join(promise.limits())
-    promised = promise.of(file)
+    motions = OtherMotions(fitted)
+    assert "the logs are slow for all joints" in " ".join(other_motion_notes(motions))
+    promised = errors_elsewhere(motions, file)
     assert promised.at_log_speeds.relative_error < promised.after.relative_error
 
 
@@ -240,8 +236,8 @@ def test_nothing_is_promised_where_the_fit_does_not_fit(fits):
     doubted = Verdict.TORQUES_ONLY.remark("a part follows from nothing")
     result = made.found(file=made.model_file(elsewhere=None))
     refused = replace(result, remarks=(doubted,))
-    assert with_promise(refused, fitted, file).file.elsewhere is None
-    trusted = with_promise(result, fitted, file)
+    assert with_other_motions(refused, fitted, file).file.elsewhere is None
+    trusted = with_other_motions(result, fitted, file)
     assert trusted.file.elsewhere.after.relative_error > 0.0
     said = [remark.text for remark in trusted.remarks]
     assert any("of this arm as it was" in text for text in said)
@@ -249,4 +245,5 @@ def test_nothing_is_promised_where_the_fit_does_not_fit(fits):
 
 def test_the_same_run_promises_the_same(fits):
     fitted, file = fits
-    assert Promise(fitted).of(file) == Promise(fitted).of(file)
+    first, second = (errors_elsewhere(OtherMotions(fitted), file) for _ in range(2))
+    assert first == second
