@@ -17,7 +17,7 @@ bent    as real, and friction that rises ever less with speed, as large as Coulo
 presliding
         as real, and dry friction that turns round over 1 mrad of travel, read by good encoders
 straight
-        as real without Stribeck friction
+        links as real, Coulomb and viscous friction, and sensors without faults
 
 The last three are drawn where they are asked for. Dry and viscous friction are compared with the
 line nearest to the true friction, of all its parts, at the speeds and loads of the log.

@@ -38,9 +38,12 @@ ARMS = {
 DEVIATIONS = ("real", "priors", "exact", "bent", "presliding", "straight")
 """What arms differ in from their models, see ``draw_arm``. New ones go to the end: the random
 numbers of an arm begin with the place of its deviation."""
-AS_REAL = ("real", "bent", "presliding", "straight")
+AS_REAL = ("real", "bent", "presliding")
 """Deviations of which links, scales, zeros and dry friction are as far off as those of real arms.
 """
+STRAIGHT = "straight"
+"""Deviation of which links are as far off as those of real arms, with Coulomb and viscous friction
+and sensors without faults."""
 PRESLIDING = 1e-3
 """Travel over which dry friction turns round in the gears of real arms [rad]. With a zone of as
 much left out at each turn, the rotors of arms without it are right, and real files best."""
@@ -354,9 +357,9 @@ def draw_arm(
     """Return one arm with one log of it.
 
     ``deviation`` says what is off: "real" as of real arms, "bent" also with friction that bends and
-    is at its top as large as Coulomb friction, "straight" without friction that fades, "presliding"
-    with dry friction that turns round over a travel, read by good encoders; "priors" what the
-    default priors say; "exact" nothing.
+    is at its top as large as Coulomb friction, "presliding" with dry friction that turns round over
+    a travel, read by good encoders; "straight" links, rotors, Coulomb and viscous friction alone;
+    "priors" what the default priors say; "exact" nothing.
 
     ``move`` returns the motion; None for that of an excitation. ``friction`` is the usual Coulomb
     friction over the torque.
@@ -370,7 +373,8 @@ def draw_arm(
     tilt = np.radians(0.3) * rng.standard_normal(2) * is_off
     thetas = robot.thetas
     if is_off:
-        thetas = (wrong_links if deviation in AS_REAL else prior_links)(robot, rng)
+        is_real = deviation in (*AS_REAL, STRAIGHT)
+        thetas = (wrong_links if is_real else prior_links)(robot, rng)
     arm = WrongArm(robot, thetas, tilt, robot.armature)
     rigid, _ = arm.torques(motion)
     n = robot.n_joints
@@ -388,8 +392,7 @@ def draw_arm(
     arm = replace(arm, coulomb=coulomb, viscous=viscous, rotor=rotor)
     if deviation in AS_REAL:
         loss = visible_share * rng.uniform(0.02, 0.06, n)
-        faded = STRIBECK * coulomb * (deviation != "straight")
-        arm = replace(arm, stribeck=faded, fading=0.1 * fastest, loss=loss)
+        arm = replace(arm, stribeck=STRIBECK * coulomb, fading=0.1 * fastest, loss=loss)
         if deviation == "bent":
             arm = replace(arm, bend=coulomb, bend_top=BEND_TOP * fastest)
         elif deviation == "presliding":
@@ -400,10 +403,11 @@ def draw_arm(
         top = top_speeds(fastest, np.full(n, np.inf))
         loss = 0.02 * rng.standard_normal(n)
         arm = replace(arm, bend=bend, bend_top=top, loss=loss)
-    scales = 1.0 + 0.02 * is_off * rng.standard_normal(n)
+    is_read_wrong = is_off and deviation != STRAIGHT
+    scales = 1.0 + 0.02 * is_read_wrong * rng.standard_normal(n)
     noise = NOISE * nominal * noise_samples(rng, rigid.shape, white)
     lag = 5e-3 * rng.standard_normal() if deviation == "priors" else 0.0
-    zeros = 2e-3 * is_off * rng.standard_normal(n)
+    zeros = 2e-3 * is_read_wrong * rng.standard_normal(n)
     arm = replace(arm, scales=scales, lag=lag, zeros=zeros)
     # The noise passes the same line as the torque.
     log = arm.log(motion, delay(motion.time, noise, lag))

@@ -160,6 +160,9 @@ class OtherMotions:
         of_file = file.at([name for name in file.names if name in names])
         at = self._further.at([file.names[k] for k in of_file])
         values = np.array([file.by_name.get(name, 0.0) for name in names])
+        # What only joints that stood still have, the new file finds.
+        is_new = ~np.isin(names, self.fitted.names) & (of_logs.wide > 0.0)
+        values = np.where(is_new, of_logs.values, values)
         normal = with_zero_torque(
             file.normal[of_file[:, None], of_file] + rows[at[:, None], at]
         )

@@ -288,8 +288,8 @@ def other_motion_notes(motions: OtherMotions) -> Iterator[str]:
     if motions.still:
         yield (
             f"{', '.join(motions.still)} stood still: the error on other motions takes friction "
-            "there to be as far off the model's as that of other joints, and rotors to be the "
-            "model's"
+            "and rotors there to be like those of the other joints, for what a joint carries and "
+            "is built for"
         )
     names = fitted.arm.robot.joint_names
     is_moved = [name not in motions.still for name in names]
