@@ -133,9 +133,9 @@ def write_plan(
 def elsewhere_answer(prediction: Prediction | None) -> dict[str, Any] | None:
     """Return what the written file is expected to be on motions all over the arm's range.
 
-    That is the highest speed of these motions, relative errors of the model, the file and its
-    friction, and the error of the mass of a load [kg]; null where one is not determined. None
-    where nothing is expected of a file.
+    That is the highest speed of these motions, relative errors of the file and its friction, and
+    the error of the mass of a load [kg]; null where one is not determined. None where nothing is
+    expected of a file. The error of the model before is what models usually have, whatever the arm.
     """
     if prediction is None or prediction.file is None:
         return None
@@ -144,7 +144,6 @@ def elsewhere_answer(prediction: Prediction | None) -> dict[str, Any] | None:
     return {
         "speed": file.speed,
         "speed_unit": file.speed_unit,
-        "before": file.before,
         "after": file.after,
         "friction": file.friction,
         "load": load if np.isfinite(load) else None,

@@ -392,7 +392,7 @@ def file_line(file: ExpectedFile, mass_error: float) -> str:
         details.append(f"a load to ± {_mass_text(mass_error)}")
     sentence = (
         f"After this motion the written file is expected to be {percent(file.after)} off on any "
-        f"motion up to {file.speed:.2g} {file.speed_unit} (the model: {percent(file.before)})"
+        f"motion up to {file.speed:.2g} {file.speed_unit}"
     )
     return "; ".join([sentence, ", ".join(details)]) if details else sentence
 

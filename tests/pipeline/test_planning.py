@@ -164,7 +164,6 @@ def test_the_answer_has_what_is_expected_of_the_file():
     assert elsewhere_answer(predicted(0.2, expected(0.4, 0.1))) == {
         "speed": 2.0,
         "speed_unit": "rad/s",
-        "before": 0.4,
         "after": 0.1,
         "friction": 0.1,
         "load": 0.2,
