@@ -298,8 +298,8 @@ def other_motion_notes(motions: OtherMotions) -> Iterator[str]:
         listed = "all joints" if len(joints) == len(names) else ", ".join(joints)
         yield (
             f"the logs are slow for {listed}: friction at twice their speed and more is not "
-            "measured, so that the error to expect on other motions is more likely too high, "
-            "at most twice, than too low"
+            "measured, so that the error to expect on other motions is less certain than that of "
+            "faster logs"
         )
     offsets = fitted.arm.terms[OFFSET.name].parameters
     clear = [
