@@ -38,7 +38,8 @@ USUAL_COUNT = 0.05
 shows one of them."""
 LEAST_SPREAD = 0.5
 """Least spread of friction and rotors over their mean: dry friction of a UR10e, TX40, AIRBOT and
-Kinova Gen3 differs from joint to joint by 0.2 to 0.4 in these units."""
+Kinova Gen3 has one of 0.22 to 0.40 in these units, 0.19 to 0.53 over effort limits alone, 0.33 to
+0.59 over the torque alone, and 0.4 to 0.85 where joints are taken to be alike."""
 ROUNDS = 10
 """Rounds in which priors are learnt, after which they change by a few per cent."""
 
