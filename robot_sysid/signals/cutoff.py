@@ -134,7 +134,7 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         cutoff = float(least)
     noise_share = np.sqrt(np.sum(noise))
     gain = gain_of(cutoff)
-    left = float(gain**2 @ (motion + noise))
+    left = max(float(gain**2 @ (motion + noise)), 1e-99)
     return CutoffChoice(
         cutoff, float(np.sqrt(error(cutoff))), noise_share, gain**2 @ joint_noise / left
     )
