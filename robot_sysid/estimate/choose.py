@@ -28,6 +28,7 @@ from robot_sysid.estimate.links import (
     CENTRE,
     FAR_OFF_CENTRE,
     MASS,
+    ODD,
     CentreOff,
     LinkEvidence,
     OddNumber,
@@ -36,7 +37,9 @@ from robot_sysid.estimate.links import (
     common_error,
     common_scale,
     is_odd_alone,
+    likely_mistakes,
     link_directions,
+    log_evidence,
     odd_mass,
     reference_links,
     stated_kinds,
@@ -53,6 +56,13 @@ from robot_sysid.estimate.terms import (
     stated_speeds,
 )
 from robot_sysid.model.chain import shared_motors
+from robot_sysid.model.mistakes import (
+    MISTAKEN,
+    Mistake,
+    least_gains,
+    mistake_shifts,
+    without_mistakes,
+)
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Progress
@@ -231,7 +241,12 @@ def answer_of(fitted: Fit) -> Fit:
     with a joint's torque.)
     """
     question = replace(
-        fitted.question, usual_offsets=True, link_scales=AS_STATED, common_scale=0.0
+        fitted.question,
+        usual_offsets=True,
+        link_scales=AS_STATED,
+        common_scale=0.0,
+        mistakes=(),
+        doubtful=(),
     )
     plain = answer = answer_to(fitted, question)
     while (zero := odd_zero(answer)) is not None:
@@ -246,6 +261,13 @@ def answer_to(fitted: Fit, question: Question) -> Fit:
     torque = fitted.sums.rms_torque
     terms = arm_question(fitted.arm, question, torque)
     answer = replace(fitted, question=question).refit(terms)
+    mistakes, doubtful = shown_mistakes(answer)
+    while mistakes:
+        question = replace(question, mistakes=(*question.mistakes, *mistakes))
+        terms = arm_question(fitted.arm, question, torque)
+        answer = replace(answer, question=question).refit(terms)
+        mistakes, doubtful = shown_mistakes(answer)
+    answer = replace(answer, question=replace(question, doubtful=doubtful))
     odd = odd_link(answer)
     answer = with_links_of(answer, torque, odd)
     if odd is None and (odd := odd_centre(answer)) is not None:
@@ -262,9 +284,8 @@ def odd_zero(fitted: Fit) -> str | None:
     nothing of that, nor one of an arm whose model states no centres of mass.
     """
     question = fitted.question
-    is_compared = question.changed is not None or question.differing is not None
     spans = [s for t, s in fitted.equations.spans if t.cause == ZEROS]
-    if question.loaded or is_compared or not spans or not fitted.arm.others:
+    if is_weighed_or_compared(question) or not spans or not fitted.arm.others:
         return None
     if fitted.unexplained_share > UNEXPLAINED or fitted.arm.robot.lacks_masses:
         return None
@@ -287,6 +308,54 @@ def odd_zero(fitted: Fit) -> str | None:
     return best.effect.names[0] if is_odd and weighed.distance > SURE else None
 
 
+def shown_mistakes(fitted: Fit) -> tuple[tuple[Mistake, ...], tuple[Mistake, ...]]:
+    """Return the mistakes of the model in its links, beside known ones, that a log shows.
+
+    They are (those that are there, one or two that are found at once; those that may be there). The
+    former explain more than the mass of one link that is far off, or an error that all masses
+    share, less what each has to gain at least to be taken for there. A log that does not fit shows
+    none.
+    """
+    question = fitted.question
+    information = (
+        None if is_weighed_or_compared(question) else links_information(fitted)
+    )
+    if information is None or fitted.unexplained_share > UNEXPLAINED:
+        return (), ()
+    robot = without_mistakes(fitted.arm.robot, question.mistakes)
+    known = {number for mistake in question.mistakes for number in mistake.links}
+    likely = [
+        mistakes
+        for mistakes in likely_mistakes(
+            robot, fitted.arm.others, link_share(fitted), *information
+        )
+        if all(known.isdisjoint(mistake.links) for mistake in mistakes)
+    ]
+    if not likely:
+        return (), ()
+    before = evidence_of(fitted, robot, information)
+    stated = log_evidence(before)
+    gains = []
+    for mistakes in likely:
+        mended = without_mistakes(robot, mistakes)
+        gains.append(log_evidence(evidence_of(fitted, mended, information)) - stated)
+    counts = np.array([len(mistakes) for mistakes in likely])
+    # By one level for all kinds: a rare one that is not sure stands for no common one either.
+    best = int(np.argmax(gains - MISTAKEN * counts))
+    least = np.array([least_gains(mistakes) for mistakes in likely])
+    simpler = [log_evidence(each) - stated for each in before.with_simple_errors()]
+    if gains[best] - least[best, 1] > max(0.0, max(simpler) - ODD):
+        return likely[best], ()
+    is_doubtful = (counts == 1) & (gains - least[:, 0] > max(0.0, *simpler))
+    return (), tuple(likely[place][0] for place in np.flatnonzero(is_doubtful))
+
+
+def is_weighed_or_compared(question: Question) -> bool:
+    """Return whether a payload or a change is asked for, and no link of the model."""
+    is_compared = question.changed is not None or question.differing is not None
+    return question.loaded or is_compared
+
+
 def odd_link(fitted: Fit) -> OddNumber | None:
     """Return the mass of a link that is far more off than others'; or None."""
     evidence = link_evidence(fitted)
@@ -298,7 +367,8 @@ def centre_off_model(fitted: Fit, link: int) -> CentreOff:
     """Return how far a fit has the centre of mass of a link, by its number in the arm, off."""
     places = fitted.at(fitted.arm.links[link])
     covariance = fitted.covariance[np.ix_(places, places)]
-    reference = fitted.arm.robot.links[link].reference
+    robot = without_mistakes(fitted.arm.robot, fitted.question.mistakes)
+    reference = robot.links[link].reference
     return centre_off(fitted.values[places], covariance, reference[1:4] / reference[0])
 
 
@@ -309,8 +379,7 @@ def odd_centre(fitted: Fit) -> OddNumber | None:
     it.
     """
     question = fitted.question
-    is_compared = question.changed is not None or question.differing is not None
-    if question.loaded or is_compared or question.odd_zeros:
+    if is_weighed_or_compared(question) or question.odd_zeros:
         return None
     is_estimated = any(term.cause == LINKS for term in fitted.equations.terms)
     if fitted.unexplained_share > UNEXPLAINED or not is_estimated:
@@ -448,19 +517,44 @@ def link_evidence(fitted: Fit, odd: OddNumber | None = None) -> LinkEvidence | N
     information = links_information(fitted)
     if information is None:
         return None
+    robot = without_mistakes(fitted.arm.robot, fitted.question.mistakes)
+    return evidence_of(fitted, robot, information, odd)
+
+
+def evidence_of(
+    fitted: Fit,
+    robot: RobotModel,
+    information: tuple[Array, Array],
+    odd: OddNumber | None = None,
+) -> LinkEvidence:
+    """Return the evidence on how far links are off the reference bodies of an arm.
+
+    Args:
+        fitted: the fit.
+        robot: its arm, with the reference bodies that are compared.
+        information: ``links_information`` of the fit.
+        odd: number that counts as not stated; None for none.
+    """
     curvature, gradient = information
-    robot = fitted.arm.robot
     others = fitted.arm.others
-    directions = link_directions(robot, others, odd)
-    share = PER_CENT * fitted.question.options.priors.link
-    off = gradient - curvature @ reference_links(robot, others)
+    further = mistake_shifts(robot, others, fitted.question.doubtful)
+    directions = np.hstack((link_directions(robot, others, odd), further))
+    share = link_share(fitted)
+    reference = reference_links(robot, others)
+    off = gradient - curvature @ reference
     return LinkEvidence(
         stated_kinds(robot, others, odd),
         share,
         directions.T @ curvature @ directions,
         directions.T @ off,
         common_error(robot, share),
+        float(0.5 * (gradient + off) @ reference),
     )
+
+
+def link_share(fitted: Fit) -> float:
+    """Return the relative standard deviation of links that the user states."""
+    return PER_CENT * fitted.question.options.priors.link
 
 
 def links_information(

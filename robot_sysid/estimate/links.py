@@ -34,6 +34,14 @@ centre with the wrong sign came out 8 to 31 stated errors off, and with it 3.1 a
 is told: with those of two links a tenth of the true ones, none of twelve logs of four arms gains
 0.1 in the log evidence by freeing one, and right logs gain 0.9.
 
+Of the mistakes that a model may have in its links (``model.mistakes``), one or two at once are
+compared by the evidence with other reference bodies. Which are likely is seen with the links'
+errors as they usually are, F F' their covariance: a shift d of the reference bodies gains
+
+    g' d - 1/2 d' Q d,    Q = L - L F (1 + F' L F)^-1 F' L,    g = (1 - L F (1 + F' L F)^-1 F') b,
+
+with L and b at the reference bodies.
+
 Placeholders have errors as large as themselves, whatever the scales. All sizes come from the arm's
 geometry, and no link counts as smaller or lighter than a share of the arm: a model that is too
 small or too light is not better known for that.
@@ -41,7 +49,7 @@ small or too light is not better known for that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import product
 
@@ -50,6 +58,7 @@ from numpy.typing import NDArray
 
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid import spatial
+from robot_sysid.model.mistakes import Mistake, mistake_shifts, usual_mistakes
 from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
 from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.spatial import N_INERTIAL, ROD_MOMENT
@@ -89,6 +98,12 @@ more than 0.123; a forearm's centre with the wrong sign shows more in 12 of 20, 
 COMMON_SCALES = (0.1, 0.2, 0.4)
 """Errors that all torques may share, of which the evidence chooses, as shares."""
 
+
+LIKELY = 1.0
+"""Least gain for each with the errors of links as they usually are, to be compared with all that
+they may be."""
+MOST_TRIED = 6
+"""Mistakes that are compared with all errors that links may have, of those that are likely."""
 
 MASS, CENTRE, _ = KINDS
 
@@ -141,6 +156,7 @@ def link_factor(
     share: float,
     scales: LinkScales = EXPECTED,
     odd: OddNumber | None = None,
+    further: Array | None = None,
 ) -> Array:
     """Return the Cholesky factor F (10 L, 10 L) of the prior covariance of L links of an arm.
 
@@ -155,6 +171,7 @@ def link_factor(
         share: relative standard deviation, 0.05 for 5 %; zero where the links are exact.
         scales: factors on these standard deviations, per kind of error.
         odd: the number that has an error as large as itself; None for none.
+        further: (10 L, d) further errors, for one standard deviation of each; None for none.
     """
     directions = link_directions(robot, links, odd)
     if share == 0.0:
@@ -162,6 +179,8 @@ def link_factor(
     common = common_error(robot, share)
     stated = stated_kinds(robot, links, odd)
     scaled = directions * deviations(stated, share, scales, common)
+    if further is not None:
+        scaled = np.hstack((scaled, further))
     return np.asarray(np.linalg.cholesky(scaled @ scaled.T))
 
 
@@ -318,9 +337,12 @@ class LinkEvidence:
     Attributes:
         stated: (L, 3) ``stated_kinds`` of the links.
         share: relative standard deviation that the user states.
-        curvature: (10 L + 2, 10 L + 2) M, second derivative along ``link_directions``.
-        gradient: (10 L + 2,) v, first derivative along them.
+        curvature: (10 L + 2 + d, 10 L + 2 + d) M, second derivative along ``link_directions`` and d
+            further errors.
+        gradient: (10 L + 2 + d,) v, first derivative along them.
         common: error that all masses share, where it is not the links'.
+        of_reference: log likelihood of the reference bodies themselves, up to a constant that all
+            references share.
     """
 
     stated: NDArray[np.bool_]
@@ -328,6 +350,7 @@ class LinkEvidence:
     curvature: Array
     gradient: Array
     common: float = 0.0
+    of_reference: float = 0.0
 
     def with_common(self, error: float) -> LinkEvidence:
         """Return the evidence where all masses, or all torques, share one more error."""
@@ -339,15 +362,22 @@ class LinkEvidence:
         stated[number, 0] = False
         return replace(self, stated=stated)
 
+    def with_simple_errors(self) -> Iterator[LinkEvidence]:
+        """Yield the evidence of each simple error of masses: of all alike, and of each one."""
+        yield self.with_common(COMMON)
+        for number in np.flatnonzero(self.stated[:, 0]).tolist():
+            yield self.with_odd_mass(number)
+
     def log_likelihood(self, scales: LinkScales) -> float:
         """Return log p(S) up to a constant."""
         return float(self.log_likelihoods([scales])[0])
 
     def log_likelihoods(self, scales: Sequence[LinkScales]) -> Array:
         """Return the same (m,) of several scales, at once."""
-        scale = np.array(
-            [deviations(self.stated, self.share, each, self.common) for each in scales]
-        )
+        scale = np.ones((len(scales), len(self.gradient)))
+        for own, each in zip(scale, scales):
+            sizes = deviations(self.stated, self.share, each, self.common)
+            own[: len(sizes)] = sizes
         gradient = scale * self.gradient
         count, size = scale.shape
         # The root of a matrix with the gradient as one more row has L^-1 gradient in that row.
@@ -368,7 +398,7 @@ class LinkEvidence:
             roots = np.diagonal(triangles, axis1=1, axis2=2)[:, :-1]
             halves = triangles[:, -1, :-1]
         logs = np.sum(np.log(roots), axis=1)
-        return np.asarray(0.5 * np.sum(halves**2, axis=1) - logs)
+        return np.asarray(self.of_reference + 0.5 * np.sum(halves**2, axis=1) - logs)
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:
@@ -392,7 +422,7 @@ def _scale_posterior(evidence: LinkEvidence) -> tuple[Array, Array]:
     return grid, log_posterior + evidence.log_likelihoods(scales)
 
 
-def _log_evidence(evidence: LinkEvidence) -> float:
+def log_evidence(evidence: LinkEvidence) -> float:
     """Return the log evidence of what is assumed of links, whatever their scales."""
     _, log_posterior = _scale_posterior(evidence)
     return float(np.logaddexp.reduce(log_posterior))
@@ -403,9 +433,9 @@ def common_scale(evidence: LinkEvidence) -> float:
 
     It shows as an error of all masses, from which no torque tells it.
     """
-    before = _log_evidence(evidence)
+    before = log_evidence(evidence)
     gains = np.array(
-        [_log_evidence(evidence.with_common(each)) - before for each in COMMON_SCALES]
+        [log_evidence(evidence.with_common(each)) - before for each in COMMON_SCALES]
     )
     if np.max(gains) <= CLEAR:
         return 0.0
@@ -449,13 +479,59 @@ def _odd_among_usual(evidence: LinkEvidence) -> tuple[int, float, float]:
 
 def _odd_of_any(evidence: LinkEvidence) -> tuple[int, float, float]:
     """Return the same with scales of the other links that the evidence gives."""
-    before = _log_evidence(evidence)
+    before = log_evidence(evidence)
     gains = {
-        number: _log_evidence(evidence.with_odd_mass(number)) - before
+        number: log_evidence(evidence.with_odd_mass(number)) - before
         for number in np.flatnonzero(evidence.stated[:, 0]).tolist()
     }
     most = max(gains, key=lambda number: gains[number])
     if gains[most] <= ODD:
         return most, gains[most], 0.0
-    common = _log_evidence(replace(evidence, common=COMMON)) - before
+    common = log_evidence(replace(evidence, common=COMMON)) - before
     return most, gains[most], gains[most] - max(common, 0.0)
+
+
+def likely_mistakes(
+    robot: RobotModel,
+    links: Sequence[int],
+    share: float,
+    curvature: Array,
+    gradient: Array,
+) -> list[tuple[Mistake, ...]]:
+    """Return one mistake each, and two at once, that are likely with errors of links as usual.
+
+    Args:
+        robot: the arm.
+        links: numbers of its L links that are estimated.
+        share: relative standard deviation of the links that the user states.
+        curvature, gradient: (10 L, 10 L), (10 L,) of data and all priors but the links', the latter
+            at zero.
+    """
+    mistakes = list(usual_mistakes(robot, links))
+    if not mistakes:
+        return []
+    stated = reference_links(robot, links)
+    shifts = mistake_shifts(robot, links, mistakes).T
+    is_wrong = np.array([np.isin(links, each.links) for each in mistakes], dtype=float)
+    factor = link_factor(robot, links, share)
+    known = curvature @ factor
+    inner = np.eye(len(factor)) + factor.T @ known
+    off = gradient - curvature @ stated
+    at_reference = off - known @ np.linalg.solve(inner, factor.T @ off)
+    bend = curvature - known @ np.linalg.solve(inner, known.T)
+    squares = shifts @ bend @ shifts.T
+    gains = shifts @ at_reference - 0.5 * np.diag(squares)
+    of_both = gains[:, None] + gains - squares
+    # Two mistakes in one link are none; each pair is there once.
+    of_both[is_wrong @ is_wrong.T > 0.0] = -np.inf
+    of_both[np.tril_indices(len(mistakes))] = -np.inf
+    likely: list[tuple[Mistake, ...]] = []
+    for place in np.argsort(-gains)[:MOST_TRIED].tolist():
+        if gains[place] > LIKELY:
+            likely.append((mistakes[place],))
+    for pair in np.argsort(-of_both, axis=None)[:MOST_TRIED].tolist():
+        first, second = divmod(pair, len(mistakes))
+        alone = max(gains[first], gains[second], 0.0)
+        if of_both[first, second] - alone > 2.0 * LIKELY:
+            likely.append((mistakes[first], mistakes[second]))
+    return likely

@@ -19,6 +19,7 @@ from robot_sysid.estimate.links import (
     OddNumber,
     last_link_scale,
     link_factor,
+    reference_links,
 )
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import (
@@ -40,6 +41,7 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
+from robot_sysid.model.mistakes import Mistake, mistake_shifts, without_mistakes
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import joint_values
 from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
@@ -78,6 +80,8 @@ class Question:
             differ from it by more than usual; None where no model is compared.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
+        mistakes: of the model in its links, without which these are estimated.
+        doubtful: mistakes that it may have: links may be off by as much as by these.
         odd_number: number of the model that is far more off than the others, and has an error as
             large as itself; None for none.
         common_scale: how far all torque scales may be off together, as a share, by what the data
@@ -99,6 +103,8 @@ class Question:
     differing: tuple[str, ...] | None = None
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
+    mistakes: tuple[Mistake, ...] = ()
+    doubtful: tuple[Mistake, ...] = ()
     odd_number: OddNumber | None = None
     common_scale: float = 0.0
     odd_zeros: tuple[str, ...] = ()
@@ -294,13 +300,19 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
 
 
 def links_term(arm: ArmTerms, question: Question) -> Term:
-    """Return the term of all links but the last, with the model's bodies as prior."""
+    """Return the term of all links but the last, with the model's bodies as prior.
+
+    Of links in which the model has a mistake, they are the bodies without it.
+    """
     term = arm.terms[LINKS]
+    robot = without_mistakes(arm.robot, question.mistakes)
+    reference = reference_links(robot, arm.others)
     share = PER_CENT * question.options.priors.link
+    further = mistake_shifts(robot, arm.others, question.doubtful)
     factor = link_factor(
-        arm.robot, arm.others, share, question.link_scales, question.odd_number
+        robot, arm.others, share, question.link_scales, question.odd_number, further
     )
-    return replace(term, prior=Prior(term.reference, factor))
+    return replace(term, reference=reference, prior=Prior(reference, factor))
 
 
 def _unknown_friction(

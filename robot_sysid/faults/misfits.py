@@ -56,6 +56,7 @@ from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 from robot_sysid.records.parameters import DELAY, ZERO
 from robot_sysid.records.usual_errors import WRONG_DELAY
+from robot_sysid.results.notes import mistake_words
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name
 
@@ -227,14 +228,15 @@ def model_findings(
     robot = fitted.arm.robot
     current = state.current
     zeros = [] if state.joined else [*odd_zeros(answer)]
-    wrong = [*wrong_number(answer, current)]
+    mistaken = [*model_mistakes(answer)]
+    wrong = [*mistaken, *wrong_number(answer, current)]
     is_odd = scales.may_be_odd and scales.scales.is_odd
     # Scales follow whatever else is left over.
     is_odd = is_odd and scales.common.fit.unexplained_share < LITTLE
     common = scales.common.findings if is_odd else ()
     if zeros:
         yield from (*zeros, *wrong)
-    elif wrong and common and not has_odd_link_alone(current):
+    elif wrong and common and not mistaken and not has_odd_link_alone(current):
         yield from map(either, wrong, common)
     elif wrong:
         yield from wrong
@@ -303,6 +305,18 @@ def odd_zero(joint: str, zero: float, error: float) -> Finding:
         "both",
         TELLING_APART,
     )
+
+
+def model_mistakes(answer: Fit) -> Iterator[Finding]:
+    """Yield the findings that the model has mistakes in the numbers of links."""
+    for mistake in answer.question.mistakes:
+        yield Finding(
+            Level.SAYS,
+            FaultName.MODEL,
+            f"the log contradicts the model: {mistake_words(answer.arm.robot, mistake)}; the "
+            "numbers without this mistake are taken in their place",
+            "correct the model, or use the written one",
+        )
 
 
 def wrong_number(answer: Fit, current: Fit) -> Iterator[Finding]:
@@ -449,7 +463,9 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
     question = fitted.question
     if arm.robot.lacks_masses:
         return
-    links = [k for k in arm.others if question.odd_number != OddNumber(k, MASS)]
+    mistaken = {number for each in question.mistakes for number in each.links}
+    odd = question.odd_number
+    links = [k for k in arm.others if k not in mistaken and odd != OddNumber(k, MASS)]
     masses = {link: arm.model[arm.links[link][0]] for link in links}
     found = {link: fitted.by_name[arm.links[link][0]] for link in links}
     lost = [link for link, mass in masses.items() if found[link] < LOST * mass]

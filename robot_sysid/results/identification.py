@@ -45,6 +45,7 @@ from robot_sysid.results.notes import (
     curve_notes,
     file_notes,
     link_notes,
+    mistake_words,
     other_motion_notes,
     part_names,
     result_notes,
@@ -115,13 +116,15 @@ def link_result(
     remarks = judge(OF_ARM, evidence)
     # Links that took up the torque of missed friction say nothing of the model's.
     if missed is None:
+        robot = fitted.arm.robot
         odd = fitted.question.odd_number
-        kinds = (
-            {}
-            if odd is None
-            else {fitted.arm.robot.links[odd.link].body_name: odd.kind}
-        )
-        remarks += wrong_links(other_links, written, kinds)
+        kinds = {} if odd is None else {robot.links[odd.link].body_name: odd.kind}
+        mistakes = [
+            (robot.links[number].body_name, mistake_words(robot, mistake))
+            for mistake in fitted.question.mistakes
+            for number in mistake.links
+        ]
+        remarks += wrong_links(other_links, written, kinds, mistakes)
     return result_of(
         fitted,
         file,

@@ -34,7 +34,8 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.estimate.trust import rotor_biases, wrong_moment
 from robot_sysid.expected.other_motions import OtherMotions
-from robot_sysid.records import InertialParameters
+from robot_sysid.model.mistakes import Mistake, MistakeKind
+from robot_sysid.records import Array, InertialParameters, RobotModel
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import INTERVAL, SURE, UNEXPLAINED
 from robot_sysid.records.messages import Detail, Level, Remark, percent, with_error
@@ -222,7 +223,10 @@ def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
 
 
 def wrong_links(
-    links: Iterable[BodyEstimate], file: ModelFile, odd: Mapping[str, str]
+    links: Iterable[BodyEstimate],
+    file: ModelFile,
+    odd: Mapping[str, str],
+    mistakes: Sequence[tuple[str, str]] = (),
 ) -> Iterator[Remark]:
     """Yield a doubt on each link of the model of which the recordings contradict a number.
 
@@ -230,24 +234,30 @@ def wrong_links(
         links: estimates of links before the last.
         file: the written model, which keeps the link or has it corrected.
         odd: name of a link to the kind of its number that is far more off than the others.
+        mistakes: name of a link, and the words of a mistake that the model has in it.
     """
     is_kept = FILE_LINKS in file.kept
     remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
     for link in links:
+        wrong = [words for name, words in mistakes if name == link.name]
         if link.name in odd and link.prior is not None:
-            off = OFF_BY_KIND[odd[link.name]](link, link.prior)
-            text = f"{link.name} of the model is probably wrong: its {off}"
+            wrong.append(f"its {OFF_BY_KIND[odd[link.name]](link, link.prior)}")
+        if not wrong:
+            wrong += _moment_off(link)
+        if wrong:
+            text = f"{link.name} of the model is probably wrong: {'; '.join(wrong)}"
             yield Remark(Level.DOUBTS, link.name, text, remedy)
-            continue
-        wrong = wrong_moment(link)
-        if wrong is None:
-            continue
-        text = (
-            f"{wrong.link} of the model is probably wrong: its mass times the distance of its "
-            f"centre of mass is {with_error(wrong.moment, wrong.error, 'kg·m')}, in the model "
-            f"{wrong.expected:.3g}, and torques show no more than that product"
+
+
+def _moment_off(link: BodyEstimate) -> Iterator[str]:
+    """Yield how far the first moment of a link is off its prior, where it is."""
+    wrong = wrong_moment(link)
+    if wrong is not None:
+        yield (
+            "its mass times the distance of its centre of mass is "
+            f"{with_error(wrong.moment, wrong.error, 'kg·m')}, in the model {wrong.expected:.3g}, "
+            "and torques show no more than that product"
         )
-        yield Remark(Level.DOUBTS, wrong.link, text, remedy)
 
 
 def _mass_off(link: BodyEstimate, prior: InertialParameters) -> str:
@@ -268,6 +278,28 @@ def _centre_off(link: BodyEstimate, prior: InertialParameters) -> str:
 
 OFF_BY_KIND = {MASS: _mass_off, CENTRE: _centre_off}
 """How far a number of a link is off its prior, by the number's kind."""
+
+
+def mistake_words(robot: RobotModel, mistake: Mistake) -> str:
+    """Return what a mistake in the links of a model is, with their names."""
+    names = [robot.links[number].body_name for number in mistake.links]
+    if mistake.kind is MistakeKind.EXCHANGED:
+        return f"the numbers of {' and '.join(names)} are exchanged"
+    (name,) = names
+    if mistake.kind is MistakeKind.ABOUT_ORIGIN:
+        point = "the origin of its body, not about its centre of mass"
+        return f"the inertia of {name} is about {point}"
+    is_mirrored = mistake.kind is MistakeKind.MIRRORED
+    way = "has the wrong sign" if is_mirrored else "is in a frame that is turned"
+    stated = _millimetres(robot.links[mistake.links[0]].theta)
+    (body,) = mistake.bodies
+    return f"the centre of mass of {name}, {stated}, {way}: it is near {_millimetres(body)}"
+
+
+def _millimetres(theta: Array) -> str:
+    """Return the centre of mass of a body (10,) in millimetres."""
+    centre = ", ".join(f"{1e3 * each:.0f}" for each in theta[1:4] / theta[0])
+    return f"({centre}) mm"
 
 
 def unknown_inertia(payload: BodyEstimate) -> str:

@@ -167,25 +167,47 @@ def test_a_forearm_ten_times_too_heavy_is_no_factor_alone_and_its_mass_is_found(
     assert all(abs(mass - true) < 3.0 * error for mass, error, true in masses)
 
 
-def test_a_forearm_with_its_centre_on_the_wrong_side_is_named_and_its_error_widens():
-    robot = load_robot_model(MODELS / ARMS["ur5e"])
-    drawn = draw_arm(robot, "real", False, 20.0, True, 2)
-    number = robot.n_joints - 4
-    link = robot.links[number]
-    mass, centre, inertia = spatial.com_from_theta(link.theta)
+def mirrored(body):
+    """Return a body (10,) whose centre of mass has the wrong signs."""
+    mass, centre, inertia = spatial.com_from_theta(body)
+    return spatial.theta_from_com(mass, -centre, inertia)
+
+
+# What is changed in the model of an arm: number of each link to its wrong body.
+MISTAKES = {
+    "forearm": ("ur5e", lambda thetas: {2: mirrored(thetas[2])}),
+    "both": ("ur5e", lambda thetas: {1: mirrored(thetas[1]), 2: mirrored(thetas[2])}),
+    "exchanged": ("panda", lambda thetas: {2: thetas[3], 3: thetas[2]}),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_of_the_model_in_its_links_is_named_and_their_errors_hold_the_truth(
+    case,
+):
+    arm, change = MISTAKES[case]
+    robot = load_robot_model(MODELS / ARMS[arm])
+    drawn = draw_arm(robot, "real", arm == "panda", 20.0, True, 0)
+    wrong = change(robot.thetas)
     model = copy.copy(robot.mj_model)
-    write_body(model, link.body_id, spatial.theta_from_com(mass, -centre, inertia))
+    for number, body in wrong.items():
+        write_body(model, robot.links[number].body_id, body)
     answer = judged(load_robot_model(model), drawn.log)
-    (found,) = answer.findings
-    assert found.level is Level.SAYS
-    assert f"contradicts the model's centre of mass of {link.body_name}" in found.text
-    names = answer.fit.arm.links[number]
-    errors = np.array([answer.fit.error_of(name) for name in names])
-    values = np.array([answer.fit.by_name[name] for name in names])
-    off = np.abs(values - drawn.arm.thetas[number]) / errors
-    assert np.all(off < 3.0), off
+    named = {link for each in answer.fit.question.mistakes for link in each.links}
+    assert named == set(wrong)
+    assert all(found.level is Level.SAYS for found in answer.findings)
+    texts = "; ".join(found.text for found in answer.findings)
+    for number in wrong:
+        assert robot.links[number].body_name in texts
+        names = answer.fit.arm.links[number]
+        errors = np.array([answer.fit.error_of(name) for name in names])
+        values = np.array([answer.fit.by_name[name] for name in names])
+        off = np.abs(values - drawn.arm.thetas[number]) / errors
+        assert np.all(off < 3.0), off
     as_it_is = judged(robot, drawn.log)
-    assert as_it_is.findings == () and as_it_is.fit.question.odd_number is None
+    question = as_it_is.fit.question
+    assert as_it_is.findings == () and question.odd_number is None
+    assert question.mistakes == () and question.doubtful == ()
 
 
 def test_links_that_are_off_as_usual_are_not(truth):
