@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -346,8 +347,9 @@ def shown_mistakes(fitted: Fit) -> tuple[tuple[Mistake, ...], tuple[Mistake, ...
     simpler = [log_evidence(each) - stated for each in before.with_simple_errors()]
     if gains[best] - least[best, 1] > max(0.0, max(simpler) - ODD):
         return likely[best], ()
-    is_doubtful = (counts == 1) & (gains - least[:, 0] > max(0.0, *simpler))
-    return (), tuple(likely[place][0] for place in np.flatnonzero(is_doubtful))
+    is_doubtful = gains - least[:, 0] > max(0.0, *simpler)
+    doubtful = [likely[place] for place in np.flatnonzero(is_doubtful)]
+    return (), tuple(dict.fromkeys(chain.from_iterable(doubtful)))
 
 
 def is_weighed_or_compared(question: Question) -> bool:

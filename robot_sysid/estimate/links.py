@@ -521,6 +521,13 @@ def likely_mistakes(
     bend = curvature - known @ np.linalg.solve(inner, known.T)
     squares = shifts @ bend @ shifts.T
     gains = shifts @ at_reference - 0.5 * np.diag(squares)
+    for place in np.flatnonzero(np.sum(is_wrong, axis=1) > 1.0).tolist():
+        # One link's numbers alone may fit, and the other link make no torque that shows its own.
+        spans = np.repeat(np.diag(is_wrong[place]), N_INERTIAL, axis=1)
+        parts = spans[is_wrong[place] > 0.0] * shifts[place]
+        of_parts = parts @ at_reference - 0.5 * np.sum((parts @ bend) * parts, axis=1)
+        if gains[place] - np.max(of_parts) < LIKELY:
+            gains[place] = -np.inf
     of_both = gains[:, None] + gains - squares
     # Two mistakes in one link are none; each pair is there once.
     of_both[is_wrong @ is_wrong.T > 0.0] = -np.inf
