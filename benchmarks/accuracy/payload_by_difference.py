@@ -1,14 +1,14 @@
 """Payloads of imperfect simulated arms: errors of the joint estimate beside the stated ones.
 
     python -m benchmarks.accuracy.payload_by_difference MODELS [--runs 20] [--scale 0 1]
-        [--arms ...]
+        [--arms ...] [--drift 5]
 
 MODELS is a folder of public models as in MuJoCo Menagerie. Each run draws an arm with all errors at
 once (benchmarks/accuracy/imperfect_arm.py) and four recordings (empty, loaded, loaded, empty) along
 one random trajectory, or along four with --different. Printed: rms errors of the payload's mass and
 centre of mass, stated errors and coverage; with --single also the error of the difference of two
 separate fits. The trajectory moves all joints widely; with --narrow all joints but the last move by
-a tenth of their range.
+a tenth of their range. With --drift friction changes from log to log, by up to that many per cent.
 """
 
 from __future__ import annotations
@@ -70,14 +70,19 @@ def turn_body(theta, angle):
 
 
 def recordings(
-    robot, arm, rng, different=False, payload=PAYLOAD, wide=True, second=None
+    robot, arm, rng, different=False, payload=PAYLOAD, wide=True, second=None, drift=0.0
 ):
-    """Return four recordings: empty, loaded, loaded with a second payload, empty."""
+    """Return four recordings: empty, loaded, loaded with a second payload, empty.
+
+    Friction changes by a share ``drift`` of itself from one to the next.
+    """
     plans = [trajectory(robot, rng, wide) for _ in (ORDER if different else ORDER[:1])]
     records = []
     for k, loaded in enumerate(ORDER):
         carried = payload if second is None or k != 2 else second
-        samples = arm.record(plans[k % len(plans)], rng, loaded * carried)
+        warmer = (1.0 + drift) ** k
+        own = replace(arm, coulomb=warmer * arm.coulomb, viscous=warmer * arm.viscous)
+        samples = own.record(plans[k % len(plans)], rng, loaded * carried)
         records.append(replace(samples, name=f"log{k}", is_loaded=loaded))
     return records
 
@@ -112,11 +117,12 @@ def single_difference(robot, raw):
     return masses[1] - masses[0]
 
 
-def run(robot, seed, off, different, single, wide, second):
+def run(robot, seed, off, different, single, wide, second, drift):
     """Return errors of mass (true, stated, by noise), centre of mass, and difference."""
     rng = np.random.default_rng([seed, 77])
     arm = draw_imperfect_arm(robot, rng, off)
-    raw = recordings(robot, arm, rng, different, wide=wide, second=second)
+    change = drift * np.random.default_rng([seed, 78]).uniform(-1.0, 1.0)
+    raw = recordings(robot, arm, rng, different, wide=wide, second=second, drift=change)
     result = weigh(robot, raw)
     body = result.payload
     difference = single_difference(robot, raw) if single else np.nan
@@ -162,6 +168,9 @@ def main():
     parser.add_argument(
         "--single", action="store_true", help="difference of two fits as well"
     )
+    parser.add_argument(
+        "--drift", type=float, default=0.0, help="of friction from log to log, per cent"
+    )
     options = parser.parse_args()
     second = (1.0 + 0.01 * options.heavier) * turn_body(
         PAYLOAD, np.radians(options.turned)
@@ -172,6 +181,7 @@ def main():
             rows = []
             for seed in range(options.runs):
                 choices = options.different, options.single, not options.narrow, second
+                choices += (0.01 * options.drift,)
                 off = Imperfections(scale=0.01 * scale, noise=options.noise)
                 rows.append(run(robot, seed, off, *choices))
                 print(
@@ -184,7 +194,8 @@ def main():
                 f"{name}, noise {options.noise:g} N·m, torque scale {scale:g} %, "
                 f"{options.runs} runs: mass rms "
                 f"{100.0 * rms(error):.2f} % (stated {100.0 * rms(stated):.2f}, noise alone "
-                f"{100.0 * rms(noise):.2f}, 95 % covers {100.0 * covered:.0f} %), centre of mass "
+                f"{100.0 * rms(noise):.2f}, 95 % covers {100.0 * covered:.0f} %, "
+                f"over stated {rms(error / stated):.2f}), centre of mass "
                 f"{1e3 * rms(com):.1f} mm, trusted {100.0 * np.mean(trusted):.0f} %, difference of "
                 f"two single fits {100.0 * rms(difference):.1f} %",
                 flush=True,
