@@ -245,7 +245,7 @@ def _on_line(row: Quantity, lines: Mapping[str, LineNumber]) -> Quantity:
     if not term.is_friction:
         return row
     if key not in lines:
-        return replace(row, value=max(term.lower, 0.0), error=math.nan, source=BOUND)
+        return replace(row, value=0.0, error=math.nan, source=BOUND)
     number = lines[key]
     reason = max(number.budget, key=lambda cause: number.budget[cause])
     return replace(
@@ -274,21 +274,32 @@ def friction_lines(fitted: Fit, file: Fit) -> dict[str, LineNumber]:
         fitted: the fit of all terms.
         file: that of the model file; what it holds at a bound is on no line.
     """
+    sums = fitted.sums
+    equal = np.ones(len(sums.joints))
+    blocks = np.array([fitted.equations.data(equal, [block]) for block in sums.blocks])
     numbers: dict[str, LineNumber] = {}
     for owner in fitted.arm.owners:
-        numbers.update(_line_of(fitted, file, owner))
+        numbers.update(_line_of(fitted, file, owner, blocks))
     return numbers
 
 
-def _line_of(fitted: Fit, file: Fit, owner: str) -> Iterator[tuple[str, LineNumber]]:
+def _line_of(
+    fitted: Fit, file: Fit, owner: str, all_blocks: Array
+) -> Iterator[tuple[str, LineNumber]]:
     """Yield the names and numbers of the line nearest to the friction of a joint or motor.
 
     What would cross its bound on a line is not on it either.
+
+    Args:
+        fitted: the fit of all terms.
+        file: that of the model file.
+        owner: the joint or motor.
+        all_blocks: (B, k + 1, k + 1) products of the estimated columns in the rows of each block.
     """
     pairs = [*_friction_of(fitted, owner)]
     names = [parameter.key for _, parameter in pairs]
     at = fitted.at(names)
-    blocks = _block_products(fitted, names)
+    blocks = all_blocks[:, at[:, None], at]
     rows = np.sum(blocks, axis=0)
     lower = np.array([parameter.lower for _, parameter in pairs])
     on_line = [
@@ -331,21 +342,6 @@ def _friction_of(fitted: Fit, owner: str) -> Iterator[tuple[Term, Parameter]]:
             entry = TERMS.get(parameter.name)
             if parameter.of == owner and entry is not None and entry.is_friction:
                 yield term, parameter
-
-
-def _block_products(fitted: Fit, names: Sequence[str]) -> Array:
-    """Return the products (B, m, m) of named columns in the rows of each block, of all joints."""
-    sums = fitted.sums
-    products = np.zeros((len(sums.logs), len(names), len(names)))
-    wanted = sums.at(names)
-    for columns, (grams, _) in zip(sums.columns, sums.products):
-        places = np.full(len(sums.names) + 1, -1)
-        places[columns] = np.arange(len(columns))
-        of_joint = places[wanted]
-        there = np.flatnonzero(of_joint >= 0)
-        at = of_joint[there]
-        products[:, there[:, None], there] += grams[:, at[:, None], at]
-    return products
 
 
 def friction_curves(fitted: Fit, file: Fit) -> Iterator[FrictionCurve]:

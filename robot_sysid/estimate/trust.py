@@ -16,7 +16,7 @@ moves, in the poses of the rows.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -155,24 +155,37 @@ def missed_friction(fitted: Fit) -> MissedFriction | None:
     error, error_with_terms = (
         validation(each).relative_error or 0.0 for each in (fitted, complete)
     )
-    moved, change = _most_moved(fitted, complete)
+    of_result = [
+        parameter
+        for term in fitted.equations.terms
+        if term.cause in (LAST_LINK, FRICTION)
+        for parameter in term.parameters
+    ]
+    moved, change = most_moved(of_result, fitted, complete)
     return MissedFriction(
         tuple(joints), tuple(left_out), error, error_with_terms, moved, change
     )
 
 
-def _most_moved(fitted: Fit, complete: Fit) -> tuple[Parameter, tuple[float, float]]:
-    """Return the number of the last link or a joint that further terms move most, and by how much.
+def most_moved(
+    parameters: Iterable[Parameter], before: Fit, after: Fit
+) -> tuple[Parameter, tuple[float, float]]:
+    """Return the number that is most off in a fit beside another one of the same rows.
 
-    Both fits are of the same rows: what counts is the change in standard errors of the number.
+    What counts is its change in standard errors, which is returned with it: by how much it is too
+    large before, and its standard error after.
+
+    Args:
+        parameters: one at least, estimated in both fits.
+        before: the fit that lacks something.
+        after: the fit that has it.
     """
     moves = []
-    for term in fitted.equations.terms:
-        for parameter in term.parameters if term.cause in (LAST_LINK, FRICTION) else ():
-            name = parameter.key
-            change = fitted.by_name[name] - complete.by_name[name]
-            error = complete.error_of(name)
-            moves.append((abs(change) / max(error, 1e-300), parameter, (change, error)))
+    for parameter in parameters:
+        name = parameter.key
+        change = before.by_name[name] - after.by_name[name]
+        error = after.error_of(name)
+        moves.append((abs(change) / max(error, 1e-300), parameter, (change, error)))
     _, parameter, moved = max(moves, key=lambda move: move[0])
     return parameter, moved
 

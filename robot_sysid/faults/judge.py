@@ -12,7 +12,7 @@ A fault is named where
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,6 +31,7 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
+from robot_sysid.estimate.trust import most_moved
 from robot_sysid.faults.plausibility import EXACT, structural
 from robot_sysid.faults.table import Explanation, explanations
 from robot_sysid.records import Array
@@ -212,10 +213,7 @@ class Score:
         after = fit_with(fitted, [self.explanation.effect])
         terms = [t for t in fitted.equations.terms if t.cause in CAUSES_IN_RESULT]
         parameters = [parameter for term in terms for parameter in term.parameters]
-        keys = [parameter.key for parameter in parameters]
-        off = {key: fitted.by_name[key] - after.by_name[key] for key in keys}
-        errors = {key: after.error_of(key) for key in keys}
-        return bias_text(parameters, off, errors)
+        return bias_text(parameters, fitted, after)
 
     @property
     def remedy(self) -> str:
@@ -239,26 +237,21 @@ class Score:
         return with_option_names(template, {**words, **explanation.words})
 
 
-def bias_text(
-    parameters: Sequence[Parameter],
-    off: Mapping[str, float],
-    errors: Mapping[str, float],
-) -> str:
+def bias_text(parameters: Sequence[Parameter], fitted: Fit, after: Fit) -> str:
     """Return how far the number is off that is most of its standard errors off; "" within one.
 
     Args:
         parameters: those that may be named.
-        off: key of a parameter to how far it is too large.
-        errors: key of a parameter to its standard error where the fault is taken out.
+        fitted: a fit of torques with the fault.
+        after: one without it.
     """
     if not parameters:
         return ""
-    ratios = [abs(off[p.key]) / max(errors[p.key], 1e-300) for p in parameters]
-    most = parameters[int(np.argmax(ratios))]
-    if max(ratios) <= 1.0:
+    most, (off, error) = most_moved(parameters, fitted, after)
+    if abs(off) <= error:
         return ""
-    way = "large" if off[most.key] > 0.0 else "small"
-    size = with_error(abs(off[most.key]), errors[most.key], most.unit)
+    way = "large" if off > 0.0 else "small"
+    size = with_error(abs(off), error, most.unit)
     return f", which makes the {most.words} too {way} by {size}"
 
 

@@ -54,7 +54,7 @@ from robot_sysid.records import Array
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
-from robot_sysid.records.parameters import DELAY, ZERO
+from robot_sysid.records.parameters import DELAY, ZERO, keys_of
 from robot_sysid.records.usual_errors import WRONG_DELAY
 from robot_sysid.results.notes import mistake_words
 from robot_sysid.signals.process import FilteredRecording
@@ -165,12 +165,13 @@ def delay_findings(fitted: Fit, current: Fit) -> Iterator[Finding]:
     after = solve_question(fitted.arm.robot, moved, fitted.question)
     held = [t for t in fitted.equations.terms if t.cause in CAUSES_IN_FILE]
     written = [p for term in held for p in term.parameters if p.key in after.names]
-    # How far the numbers of this fit are off those of torques that are moved back.
-    off = {p.key: fitted.by_name[p.key] - after.by_name[p.key] for p in written}
-    errors = {key: fitted.error_of(key) for key in off}
-    is_harmful = any(abs(off[key]) > INTERVAL * errors[key] for key in off)
+    is_harmful = any(
+        abs(after.by_name[name] - fitted.by_name[name])
+        > INTERVAL * fitted.error_of(name)
+        for name in keys_of(written)
+    )
     is_doubt = is_harmful and is_more and gain >= CLEAR
-    bias = bias_text(written, off, {key: after.error_of(key) for key in off})
+    bias = bias_text(written, fitted, after)
     yield Finding(
         Level.DOUBTS if is_doubt and not fitted.question.loaded else Level.SAYS,
         FaultName.DELAY,

@@ -314,7 +314,7 @@ def rate_findings(robot: RobotModel, pieces: Sequence[Recording]) -> Iterator[Fi
         if np.max(held) > 1 and length > LONGEST_HELD:
             names = ", ".join(compress(robot.joint_names, held == np.max(held)))
             # A reading is new in its first sample, and nearly as old as the next in its last.
-            late = 0.5e3 * length * (1.0 - 1.0 / np.max(held))
+            late = 1e3 * 0.5 * length * (1.0 - 1.0 / np.max(held))
             yield Finding(
                 Level.DOUBTS,
                 FaultName.HELD,
