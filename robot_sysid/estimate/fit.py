@@ -562,6 +562,13 @@ class Fit(Problem):
         """Joint to its root mean square torque [N m]."""
         return dict(zip(self.sums.joints, self.sums.rms_torque.tolist()))
 
+    @property
+    def measured_torque(self) -> dict[str, float]:
+        """Joint to its root mean square torque, where it stood still, too [N m]."""
+        samples = np.concatenate([each.tau for each in self.recordings])
+        squares = np.mean(samples[:, self.arm.indices] ** 2, axis=0)
+        return dict(zip(self.arm.joints, np.sqrt(squares).tolist()))
+
     @cached_property
     def unexplained(self) -> Array:
         """Torque (J,) that neither model nor noise explains, root mean square [N m].

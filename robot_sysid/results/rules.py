@@ -104,7 +104,7 @@ OF_ARM: tuple[Rule[ArmEvidence], ...] = (
     Rule(Verdict.IMPLAUSIBLE, lambda e: reasons.impossible_link(e.robot, e.link)),
     Rule(
         Verdict.IMPLAUSIBLE,
-        lambda e: reasons.impossible_joints(e.robot, e.rows, e.fitted.torque),
+        lambda e: reasons.impossible_joints(e.robot, e.rows, e.fitted.measured_torque),
     ),
     *map(_rule_of_files, OF_FILES),
     # A file that clearly predicts better is written all the same, for torques only.

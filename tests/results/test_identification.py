@@ -9,10 +9,12 @@ from numpy.testing import assert_allclose
 
 from rigs.arms import small_arms
 from rigs.arms.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
+from rigs.arms.wrong_arms import draw_arm
 from rigs.logs.measured_logs import XML, log_of, plan_of
 from robot_sysid import spatial
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.trust import missed_friction
+from robot_sysid.records import Motion
 from robot_sysid.records.messages import Level
 from robot_sysid.records.quantities import FILE
 from robot_sysid.results.identification import link_result
@@ -170,3 +172,24 @@ def test_traces_hold_the_residual_of_the_file(robot, fits):
     # The model before is clearly worse.
     error_before = np.nanstd(traces.measured - traces.prior_prediction, axis=0)
     assert np.all(error_before > 2.0 * np.nanstd(traces.residual, axis=0))
+
+
+def test_dry_friction_of_the_one_joint_that_carries_is_possible():
+    """The joints that stood still carry, too: what they hold says what is much in this arm."""
+    axes = (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X)
+    arm = small_arms.robot_of(small_arms.serial_arm(axes, joint='range="-2.5 2.5"'))
+
+    def with_two_still(plan, _):
+        motion = plan.evaluate(np.arange(round(250.0 * plan.duration)) / 250.0)
+        moves = np.array([1.0, 1.0, 0.0, 0.0])
+        q = np.where(moves, motion.q, arm.reference)
+        return Motion(motion.time, q, moves * motion.qd, moves * motion.qdd)
+
+    truth = draw_arm(arm, "straight", False, 10.0, True, 1, with_two_still, 0.3)
+    fitted = fit_logs(arm, replace(truth.log, name="log"))
+    found = link_result(fitted, fit_file(fitted), (), ORIGIN)
+    assert found.quantity("coulomb", arm.joint_names[1]).value > 0.0
+    assert found.verdict is not Verdict.IMPLAUSIBLE
+    carried = [fitted.measured_torque[arm.joint_names[k]] for k in (2, 3)]
+    expected = np.sqrt(np.mean(truth.log.tau[:, 2:] ** 2, axis=0))
+    assert_allclose(carried, expected, rtol=0.05)
