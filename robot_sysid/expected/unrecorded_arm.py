@@ -75,6 +75,7 @@ class ExpectedFile:
             joints together; constant torques, which sensors add, are no errors.
         after: the same of the file.
         friction: error of the file's friction over the friction; None where none is estimated.
+        least: what ``after`` is where the arm has as little friction as arms have at least.
     """
 
     speed: float
@@ -82,6 +83,7 @@ class ExpectedFile:
     before: float
     after: float
     friction: float | None
+    least: float
 
 
 @dataclass(frozen=True)
@@ -113,16 +115,19 @@ class UnrecordedArm:
         least = usual_errors.PLANNED_LEAST * np.max(torque)
         return cls(arm, sums, motions, np.maximum(torque, least))
 
-    def terms(self, options: EstimationOptions, is_replaced: bool) -> list[Term]:
+    def terms(
+        self, options: EstimationOptions, is_replaced: bool, rubbing: float = 1.0
+    ) -> list[Term]:
         """Return all terms of the arm, each with how far it usually is from the model.
 
         Args:
             options: of the identification.
             is_replaced: whether the last link may carry another tool than the model's, so that
                 nothing is known of it; else it is as far off as links usually are.
+            rubbing: friction of the arm, over that of an arm that has much of it.
         """
         arm = self.arm
-        dry = usual_errors.PLANNED_DRY * self.torque
+        dry = rubbing * usual_errors.PLANNED_DRY * self.torque
         question = Question(
             options, link_scales=EXPECTED, dry=tuple(dry.tolist()), usual_offsets=True
         )
@@ -132,7 +137,7 @@ class UnrecordedArm:
             if term.cause == LAST_LINK:
                 prior = self._last_link(options, is_replaced)
             if prior is None:
-                prior = self._usual_friction(term)
+                prior = self._usual_friction(term, rubbing)
             else:
                 # Priors of an estimate are as cautious as the errors that it prints.
                 share = usual_errors.ERRORS_AS_THEY_ARE
@@ -156,7 +161,7 @@ class UnrecordedArm:
         factor = link_factor(robot, [robot.n_joints - 1], share, EXPECTED)
         return Prior(np.zeros(len(factor)), factor)
 
-    def _usual_friction(self, term: Term) -> Prior:
+    def _usual_friction(self, term: Term, rubbing: float) -> Prior:
         """Return the prior of friction and rotors, which an identification finds without one.
 
         Each makes a share of the torque of the joints at which it acts.
@@ -168,13 +173,15 @@ class UnrecordedArm:
         shares = [
             usual_errors.PLANNED_ROTOR
             if parameter.name == ROTOR.name
-            else usual_errors.PLANNED_FRICTION
+            else rubbing * usual_errors.PLANNED_FRICTION
             for parameter in term.parameters
         ]
         return independent(shares * torque / np.where(column > 0.0, column, np.inf))
 
     def expected_file(self, fitted: Fit, is_replaced: bool) -> ExpectedFile:
         """Return what the file is expected to be that is fitted to a planned motion's recording.
+
+        How much friction an arm has, nothing tells before a log.
 
         Args:
             fitted: the fit to expect of the recording, with the noise of its rows.
@@ -183,16 +190,15 @@ class UnrecordedArm:
         options = fitted.question.options
         terms = self.terms(options, is_replaced)
         units = units_of(terms)
-        recorded = products_of(fitted.sums, terms, fitted.weights)
-        information = units.T @ recorded @ units + np.eye(len(units))
-        of_unknowns = file_fit(terms, options.kept).covariance(information)
         of_model = self._knowledge(terms, units @ units.T)
-        of_file = self._knowledge(terms, units @ of_unknowns @ units.T)
+        of_file = self._file_knowledge(fitted, terms)
+        little = self.terms(options, is_replaced, usual_errors.LITTLE_FRICTION)
 
         sums = self.sums
         model = self.arm.model
         before = expected(model, of_model, sums)
         after = expected(model, of_file, sums)
+        least = expected(model, self._file_knowledge(fitted, little), sums)
         torque = np.sum(before.torque) + np.sum(before.of_joints)
         friction = [name for term in terms if _is_friction(term) for name in term.names]
         is_friction = np.isin(sums.names, friction)
@@ -211,7 +217,18 @@ class UnrecordedArm:
             friction=_root_share(error.of_joints, np.sum(whole.of_joints))
             if friction
             else None,
+            least=_root_share(least.of_joints, torque),
         )
+
+    def _file_knowledge(self, fitted: Fit, terms: Sequence[Term]) -> Knowledge:
+        """Return what a file has, with its errors, that is fitted to a recording to expect."""
+        units = units_of(terms)
+        recorded = products_of(fitted.sums, terms, fitted.weights)
+        information = units.T @ recorded @ units + np.eye(len(units))
+        of_unknowns = file_fit(terms, fitted.question.options.kept).covariance(
+            information
+        )
+        return self._knowledge(terms, units @ of_unknowns @ units.T)
 
     def _knowledge(self, terms: Sequence[Term], covariance: Array) -> Knowledge:
         """Return the model's values, and errors of the parameters of terms (P, P) about them."""

@@ -133,8 +133,9 @@ def write_plan(
 def elsewhere_answer(prediction: Prediction | None) -> dict[str, Any] | None:
     """Return what the written file is expected to be on motions all over the arm's range.
 
-    That is the highest speed of these motions, relative errors of the file and its friction, and
-    the error of the mass of a load [kg]; null where one is not determined. None where nothing is
+    That is the highest speed of these motions, relative errors of the file, of an arm with much
+    friction (``after``) and of one with little (``least``), and of its friction, and the error of
+    the mass of a load [kg]; null where one is not determined. None where nothing is
     expected of a file. The error of the model before is what models usually have, whatever the arm.
     """
     if prediction is None or prediction.file is None:
@@ -145,6 +146,7 @@ def elsewhere_answer(prediction: Prediction | None) -> dict[str, Any] | None:
         "speed": file.speed,
         "speed_unit": file.speed_unit,
         "after": file.after,
+        "least": file.least,
         "friction": file.friction,
         "load": load if np.isfinite(load) else None,
     }

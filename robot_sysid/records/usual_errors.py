@@ -114,6 +114,8 @@ PLANNED_DRY = 0.1
 the load. With a fifth of it files of slow motions were two to four times as wrong as expected, with
 twice as much half as wrong: friction of arms is between 1 % of the torque, where their sensors sit
 behind the gears, and 30 %."""
+LITTLE_FRICTION = 0.1
+"""Friction of an arm whose torque sensors sit behind its gears, over both of these."""
 PLANNED_LEAST = 0.03
 """Least torque of a joint of which these are shares, as a share of the strongest joint's: a wrist
 that carries nothing has friction all the same."""

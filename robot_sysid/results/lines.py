@@ -391,8 +391,9 @@ def file_line(file: ExpectedFile, mass_error: float) -> str:
     if np.isfinite(mass_error):
         details.append(f"a load to ± {_mass_text(mass_error)}")
     sentence = (
-        f"After this motion the written file is expected to be {percent(file.after)} off on any "
-        f"motion up to {file.speed:.2g} {file.speed_unit}"
+        f"After this motion the written file is expected to be {percent(file.least)} (an arm with "
+        f"little friction) to {percent(file.after)} (with much) off on any motion up to "
+        f"{file.speed:.2g} {file.speed_unit}"
     )
     return "; ".join([sentence, ", ".join(details)]) if details else sentence
 

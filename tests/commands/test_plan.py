@@ -16,8 +16,8 @@ from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 
 EXPECTED = (
-    r"After this motion the written file is expected to be \S+ % off on any motion up to 2 rad/s"
-    r"; friction to \S+ %, a load to ± \S+ kg"
+    r"After this motion the written file is expected to be \S+ % \(an arm with little friction\) "
+    r"to \S+ % \(with much\) off on any motion up to 2 rad/s; friction to \S+ %, a load to ± \S+ kg"
 )
 SHORT = "--duration 3 --sample-rate 100 --seed 1"
 SINES = ("--excitation sines", SHORT)

@@ -86,7 +86,12 @@ def predicted(mass_error, file=None):
 def expected(before, after):
     """A made-up file: what its error is expected to be, and was."""
     return ExpectedFile(
-        speed=2.0, speed_unit="rad/s", before=before, after=after, friction=0.1
+        speed=2.0,
+        speed_unit="rad/s",
+        before=before,
+        after=after,
+        friction=0.1,
+        least=0.05,
     )
 
 
@@ -165,6 +170,7 @@ def test_the_answer_has_what_is_expected_of_the_file():
         "speed": 2.0,
         "speed_unit": "rad/s",
         "after": 0.1,
+        "least": 0.05,
         "friction": 0.1,
         "load": 0.2,
     }
