@@ -23,6 +23,7 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.rows import Sums
 from robot_sysid.expected.motions import grams
 from robot_sysid.expected.unknown import (
+    is_told,
     is_without_rows,
     kinds_of,
     learn_priors,
@@ -115,7 +116,7 @@ def knowledge_of(fitted: Fit, sums: Sums) -> LogKnowledge:
     is_still = is_without_rows(fitted)
     noise = fitted.noise * np.sqrt(fitted.correlation)
     average = np.sqrt(np.mean(noise[~is_still] ** 2))
-    known = [name in fitted.names for name in sums.names]
+    known = is_told(fitted, sums.names)
     at = np.flatnonzero(known)
     of_fit = fitted.at([*itertools.compress(sums.names, known)])
     precision = np.zeros((len(known), len(known)))

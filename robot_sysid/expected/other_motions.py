@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics.friction import OFFSET
 from robot_sysid.estimate.choose import fastest_of, speeds_in
 from robot_sysid.estimate.equations.inverse import solve
 from robot_sysid.estimate.fit import Fit, settled_values
@@ -22,6 +23,7 @@ from robot_sysid.expected.knowledge import (
     with_zero_torque,
 )
 from robot_sysid.expected.motions import highest_speed, made_up_motions, sums_elsewhere
+from robot_sysid.expected.unrecorded_arm import is_held
 from robot_sysid.records import Array
 
 SLOWEST = 0.2
@@ -115,6 +117,14 @@ class OtherMotions:
         return self._highest > FASTER * np.maximum(self._of_log, SLOWEST)
 
     @cached_property
+    def names_in_file(self) -> list[str]:
+        """Names of what a file may hold, and of offsets."""
+        fitted = self.fitted
+        kept = fitted.question.options.kept
+        terms = [t for t in fitted.arm.terms.values() if is_held(t, kept)]
+        return [name for term in terms for name in term.names]
+
+    @cached_property
     def _further(self) -> Sums:
         """The sums of further motions."""
         return self._sums(self._highest)
@@ -144,29 +154,31 @@ class OtherMotions:
         """Return the error to expect of a file after a further log, ``length`` [s] long.
 
         The log makes what is known better known, and the file nearer to it: with the file's normal
-        equations N f = b and rows W of the log, f' = (N + W)^-1 (b + W x).
+        equations N f = b and rows W of the log, f' = (N + W)^-1 (b + W x). What the log will say of
+        x is not known, so that x may move by as much as its covariance falls, and f' follows with
+        what it holds alone.
         """
         of_logs = self._of_logs
-        known = of_logs.after(of_logs.rows(self._further, length, of_logs.weights))
-        held = self._held_after(file, length)
-        return largest_expected(held, known, self.fast).relative_error
-
-    def _held_after(self, file: Fit, length: float) -> dict[str, float]:
-        """Return the names of what a file holds to their expected values after a further log."""
-        of_logs = self._of_logs
         names = self._further.names
+        known = of_logs.after(of_logs.rows(self._further, length, of_logs.weights))
         weights = np.where(is_without_rows(file), of_logs.weights, file.weights)
         rows = of_logs.rows(self._further, length, weights)
+        values = np.array([file.by_name.get(name, 0.0) for name in names])
         of_file = file.at([name for name in file.names if name in names])
         at = self._further.at([file.names[k] for k in of_file])
-        values = np.array([file.by_name.get(name, 0.0) for name in names])
-        # What only joints that stood still have, the new file finds.
-        is_new = ~np.isin(names, self.fitted.names) & (of_logs.wide > 0.0)
-        values = np.where(is_new, of_logs.values, values)
-        normal = with_zero_torque(
-            file.normal[of_file[:, None], of_file] + rows[at[:, None], at]
-        )
-        normal[:-1, -1] = rows[at] @ (of_logs.values - values)
-        moved, _ = solve(normal, np.zeros(len(at)))
-        values[at] += moved
-        return dict(zip(names, values.tolist()))
+        normal = np.zeros(rows.shape)
+        normal[at[:, None], at] = file.normal[of_file[:, None], of_file]
+        # What this file does not have, of joints that stood still too, the new one may find.
+        in_file = np.isin(names, self.names_in_file)
+        _, inverse = solve(with_zero_torque(normal + rows), values, in_file)
+        follows = np.where(in_file[:, None], inverse @ rows, 0.0)
+        held = values + follows @ (of_logs.values - values)
+        follows[np.isin(names, [*map(OFFSET.key_of, self.fast.joints)])] = 0.0
+        lacks = np.eye(len(names)) - follows
+        told = self._known.covariance - known.covariance
+        covariance = known.covariance + lacks @ told @ lacks.T
+        return largest_expected(
+            dict(zip(names, held.tolist())),
+            replace(known, covariance=covariance),
+            self.fast,
+        ).relative_error

@@ -17,7 +17,8 @@ Shapes: p parameters of motions, J joints with equations; k parameters of a kind
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,14 @@ from robot_sysid.estimate.equations.inverse import solve
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.links import last_link_scale
 from robot_sysid.estimate.rows import Sums
-from robot_sysid.estimate.terms import FRICTION, LAST_LINK, MOTORS, Term
+from robot_sysid.estimate.terms import (
+    FRICTION,
+    FURTHER_FRICTION,
+    LAST_LINK,
+    MOTORS,
+    Prior,
+    Term,
+)
 from robot_sysid.expected.motions import grams
 from robot_sysid.records import Array
 
@@ -136,9 +144,9 @@ def is_without_rows(fitted: Fit) -> NDArray[np.bool_]:
 def kinds_of(fitted: Fit, sums: Sums) -> list[Kind]:
     """Return the kinds of parameters of which a fit knows too little.
 
-    These are the last link, dry and viscous friction and rotors, of joints that stood still, too,
-    and offsets of torque sensors: of one that a fit takes to be as small as usual it takes the rest
-    for weight, and the file has that weight.
+    These are the last link, dry and viscous friction and rotors, and offsets of torque sensors: of
+    one that a fit takes to be as small as usual it takes the rest for weight, and the file has that
+    weight. Of joints that stood still it is all friction.
     """
     torque = joint_torques(fitted, sums)
     kinds = []
@@ -154,7 +162,9 @@ def kinds_of(fitted: Fit, sums: Sums) -> list[Kind]:
         elif term.prior is None and term.cause in (FRICTION, MOTORS):
             kinds += _friction_kinds(fitted, sums, term, torque)
         elif term.prior is not None and term.key == OFFSET.name:
-            kinds.append(_offset_kind(fitted, sums, term, term.prior.variances))
+            kinds.append(_offset_kind(fitted, sums, term, term.prior, torque))
+        elif term.prior is not None and term.cause == FURTHER_FRICTION:
+            kinds += _still_kinds(fitted, sums, term, term.prior, torque)
     return kinds
 
 
@@ -173,10 +183,7 @@ def _friction_kinds(
     """
     whole = fitted.arm.terms[term.key] if term.cause == FRICTION else term
     at = sums.at(whole.names)
-    columns = np.sqrt(sums.squares[:, at] / sums.row_counts[:, None])
-    # A motor's friction is felt at several joints.
-    acts = columns > 0.0
-    sizes = np.max(torque[:, None] / np.where(acts, columns, np.inf), axis=0)
+    sizes = _alike_sizes(sums, at, torque)
     is_used = sizes > 0.0
     if np.any(is_used):
         names = np.array(whole.names)[is_used]
@@ -189,22 +196,78 @@ def _friction_kinds(
         )
 
 
-def _offset_kind(fitted: Fit, sums: Sums, term: Term, variances: Array) -> Kind:
-    """Return the kind of the torque offsets of joints, which are alike over their own torques.
+def _still_kinds(
+    fitted: Fit, sums: Sums, term: Term, prior: Prior, torque: Array
+) -> Iterator[Kind]:
+    """Yield the kind of a term that friction models lack, of joints that stood still.
 
-    Args:
-        fitted: the fit.
-        sums: of made-up motions.
-        term: of offsets.
-        variances: (k,) of the fit's own prior.
+    It is as large there as the fit's own ``prior`` allows at the others, over their torques; the
+    other arguments are those of ``_friction_kinds``.
     """
     at = sums.at(term.names)
-    torque = _not_too_small(fitted.sums.rms_torque)
-    own = torque[[sums.joints.index(parameter.of) for parameter in term.parameters]]
-    sizes = own * np.sqrt(np.mean(variances) / np.mean(own**2))
+    sizes = _alike_sizes(sums, at, torque)
+    is_still = _is_of(term, still_joints(fitted))
+    acts = sizes > 0.0
+    is_used = is_still & acts
+    others = acts & ~is_still
+    if np.any(is_used) and np.any(others):
+        zero = np.zeros(np.count_nonzero(is_used))
+        usual = float(np.sqrt(np.mean(prior.variances[others] / sizes[others] ** 2)))
+        none = zero > 0.0
+        yield Kind(at[is_used], zero, sizes[is_used], usual, zero, none, False)
+
+
+def _offset_kind(
+    fitted: Fit, sums: Sums, term: Term, prior: Prior, torque: Array
+) -> Kind:
+    """Return the kind of the torque offsets of joints, which are alike over their own torques.
+
+    ``prior`` is the fit's own; the other arguments are those of ``_friction_kinds``.
+    """
+    variances = prior.variances
+    moved = ~_is_of(term, still_joints(fitted))
+    joints = [sums.joints.index(parameter.of) for parameter in term.parameters]
+    at = sums.at(term.names)
+    measured = _not_too_small(fitted.sums.rms_torque)
+    own = np.where(moved, measured[joints], torque[joints])
+    sizes = own * np.sqrt(np.mean(variances[moved]) / np.mean(own[moved] ** 2))
     zero = np.zeros(len(at))
     usual = usual_errors.LARGE_OFFSET
-    return Kind(at, zero, sizes, usual, 1.0 / variances, zero == 0.0, False)
+    replaced = np.where(moved, 1.0 / variances, 0.0)
+    return Kind(at, zero, sizes, usual, replaced, moved, False)
+
+
+def still_joints(fitted: Fit) -> set[str]:
+    """Return the names of the joints that stood still."""
+    return {*itertools.compress(fitted.arm.joints, is_without_rows(fitted))}
+
+
+def is_told(fitted: Fit, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Return which parameters (p,) a fit tells of: none of friction where joints stood still."""
+    still = still_joints(fitted)
+    untold = {
+        parameter.key
+        for term in fitted.equations.terms
+        if term.cause in (FRICTION, FURTHER_FRICTION) or term.key == OFFSET.name
+        for parameter in term.parameters
+        if parameter.of in still
+    }
+    return np.isin(names, fitted.names) & ~np.isin(names, [*untold])
+
+
+def _is_of(term: Term, joints: Collection[str]) -> NDArray[np.bool_]:
+    """Return which parameters (k,) of a term are those of some joints."""
+    return np.array([parameter.of in joints for parameter in term.parameters])
+
+
+def _alike_sizes(sums: Sums, at: NDArray[np.int64], torque: Array) -> Array:
+    """Return the sizes (k,) that make parameters as large as torques (J,) of the joints they move.
+
+    They are zero of those whose column made-up motions lack.
+    """
+    columns = np.sqrt(sums.squares[:, at] / sums.row_counts[:, None])
+    # A motor's friction is felt at several joints.
+    return np.max(torque[:, None] / np.where(columns > 0.0, columns, np.inf), axis=0)
 
 
 def _not_too_small(torque: Array) -> Array:

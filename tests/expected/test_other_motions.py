@@ -10,14 +10,15 @@ from rigs.arms import small_arms
 from rigs.arms.core_fits import fit_recordings
 from rigs.arms.wrong_arms import draw_arm
 from rigs.files import results as made
-from robot_sysid.dynamics.friction import OFFSET
+from robot_sysid.dynamics.friction import BEND, OFFSET
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.rows import Rows
-from robot_sysid.expected.errors import expected
+from robot_sysid.expected.errors import expected, largest_expected
 from robot_sysid.expected.knowledge import Knowledge, knowledge_of
 from robot_sysid.expected.motions import made_up_motions, sums_elsewhere
-from robot_sysid.expected.other_motions import OtherMotions
+from robot_sysid.expected.other_motions import FurtherMotion, OtherMotions
+from robot_sysid.expected.unknown import joint_torques
 from robot_sysid.records import Motion, Recording
 from robot_sysid.results.identification import errors_elsewhere, with_other_motions
 from robot_sysid.results.notes import other_motion_notes, part_names
@@ -247,3 +248,43 @@ def test_the_same_run_promises_the_same(fits):
     fitted, file = fits
     first, second = (errors_elsewhere(OtherMotions(fitted), file) for _ in range(2))
     assert first == second
+
+
+def test_what_no_file_holds_is_off_after_an_endless_log_too(monkeypatch):
+    """It is what the best file of arms lacks that are drawn from what the first log says."""
+    fitted, file = fit_of(drawn(6, move=with_still_joint))
+    motions = OtherMotions(fitted)
+    endless = [FurtherMotion((), 1e9)]
+    monkeypatch.setattr("robot_sysid.expected.other_motions.FURTHER_MOTIONS", endless)
+    _, promised = motions.next_motion(file, np.inf)
+    sums = motions.fast
+    of_log = knowledge_of(fitted, sums)
+    known = of_log.after()
+    in_file = np.isin(sums.names, motions.names_in_file)
+    weighted = of_log.rows(sums, 1.0, of_log.weights)
+    rng = np.random.default_rng(0)
+    arms = rng.multivariate_normal(known.values, known.covariance, 200, "ignore")
+    squares = []
+    for values in arms:
+        held = np.zeros(len(values))
+        rows = weighted[in_file]
+        held[in_file] = np.linalg.pinv(rows[:, in_file]) @ rows @ values
+        exact = Knowledge(values, np.zeros(known.covariance.shape))
+        errors = largest_expected(dict(zip(sums.names, held)), exact, sums)
+        squares.append(errors.relative_error**2)
+    assert_allclose(np.sqrt(np.mean(squares)), promised, rtol=0.15)
+
+
+def test_friction_of_a_joint_that_stood_still_may_bend_like_that_of_others():
+    """That the model states no friction says nothing of it."""
+    axes = (small_arms.Z, small_arms.Y, small_arms.Y, small_arms.X)
+    bare = small_arms.robot_of(small_arms.serial_arm(axes, joint='range="-2.5 2.5"'))
+    truth = draw_arm(bare, "real", False, 15.0, True, 6, with_still_joint)
+    recordings, _ = low_pass_recordings(bare, [replace(truth.log, name="log")])
+    fitted = fit_recordings(bare, recordings)
+    sums = sums_elsewhere(fitted.arm, fitted.point, motions_of(5))
+    known = knowledge_of(fitted, sums).after()
+    bends = [sums.names.index(BEND.key_of(joint)) for joint in bare.joint_names]
+    deviations = np.sqrt(np.diag(known.covariance)[bends])
+    shares = deviations / joint_torques(fitted, sums)
+    assert 0.3 * np.max(shares) < shares[2] < 3.0 * np.max(shares)
