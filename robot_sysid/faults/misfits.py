@@ -23,6 +23,7 @@ from robot_sysid.estimate.contacts import DEVIATION_OVER_MEDIAN, LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.links import CENTRE, MASS, OddNumber
 from robot_sysid.estimate.offers import Effect, Offers
+from robot_sysid.estimate.options import FILE_LINKS
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, ZEROS
 from robot_sysid.faults import Finding
@@ -310,13 +311,17 @@ def odd_zero(joint: str, zero: float, error: float) -> Finding:
 
 def model_mistakes(answer: Fit) -> Iterator[Finding]:
     """Yield the findings that the model has mistakes in the numbers of links."""
+    is_kept = FILE_LINKS in answer.question.options.kept
+    remedy = (
+        "correct the model" if is_kept else "correct the model, or use the written one"
+    )
     for mistake in answer.question.mistakes:
         yield Finding(
             Level.SAYS,
             FaultName.MODEL,
             f"the log contradicts the model: {mistake_words(answer.arm.robot, mistake)}; the "
             "numbers without this mistake are taken in their place",
-            "correct the model, or use the written one",
+            remedy,
         )
 
 

@@ -45,7 +45,6 @@ from robot_sysid.results.notes import (
     curve_notes,
     file_notes,
     link_notes,
-    mistake_words,
     other_motion_notes,
     part_names,
     result_notes,
@@ -119,12 +118,14 @@ def link_result(
         robot = fitted.arm.robot
         odd = fitted.question.odd_number
         kinds = {} if odd is None else {robot.links[odd.link].body_name: odd.kind}
-        mistakes = [
-            (robot.links[number].body_name, mistake_words(robot, mistake))
+        # What judges the log has named the mistakes of the model.
+        mistaken = {
+            robot.links[number].body_name
             for mistake in fitted.question.mistakes
             for number in mistake.links
-        ]
-        remarks += wrong_links(other_links, written, kinds, mistakes)
+        }
+        right = [link for link in other_links if link.name not in mistaken]
+        remarks += wrong_links(right, written, kinds)
     return result_of(
         fitted,
         file,

@@ -223,10 +223,7 @@ def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
 
 
 def wrong_links(
-    links: Iterable[BodyEstimate],
-    file: ModelFile,
-    odd: Mapping[str, str],
-    mistakes: Sequence[tuple[str, str]] = (),
+    links: Iterable[BodyEstimate], file: ModelFile, odd: Mapping[str, str]
 ) -> Iterator[Remark]:
     """Yield a doubt on each link of the model of which the recordings contradict a number.
 
@@ -234,16 +231,13 @@ def wrong_links(
         links: estimates of links before the last.
         file: the written model, which keeps the link or has it corrected.
         odd: name of a link to the kind of its number that is far more off than the others.
-        mistakes: name of a link, and the words of a mistake that the model has in it.
     """
     is_kept = FILE_LINKS in file.kept
     remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
     for link in links:
-        wrong = [words for name, words in mistakes if name == link.name]
+        wrong = [*_moment_off(link)]
         if link.name in odd and link.prior is not None:
-            wrong.append(f"its {OFF_BY_KIND[odd[link.name]](link, link.prior)}")
-        if not wrong:
-            wrong += _moment_off(link)
+            wrong = [f"its {OFF_BY_KIND[odd[link.name]](link, link.prior)}"]
         if wrong:
             text = f"{link.name} of the model is probably wrong: {'; '.join(wrong)}"
             yield Remark(Level.DOUBTS, link.name, text, remedy)
