@@ -44,10 +44,10 @@ from robot_sysid.records import Array
 USUAL_COUNT = 0.05
 """Number of joints that the usual spread counts as, beside those of the arm: enough for a log that
 shows one of them."""
-LEAST_SPREAD = 0.5
-"""Least spread of friction and rotors over their mean: dry friction of a UR10e, TX40, AIRBOT and
-Kinova Gen3 has one of 0.22 to 0.40 in these units, 0.19 to 0.53 over effort limits alone, 0.33 to
-0.59 over the torque alone, and 0.4 to 0.85 where joints are taken to be alike."""
+LEAST_SPREAD = 0.75
+"""Least spread of friction and rotors over their mean: dry friction of eight real arms has one of
+0.17 to 1.1 in these units (AIRBOT, UR10e, Kinova Gen3, TX40, Med 7, Panda, AR5, LWR4+; root mean
+square 0.75)."""
 ROUNDS = 10
 """Rounds in which priors are learnt, after which they change by a few per cent."""
 

@@ -50,7 +50,7 @@ def test_a_joint_that_stood_still_is_like_those_that_moved(share):
 
 def test_joints_that_differ_make_a_wider_spread_and_never_more_than_usual():
     precision = 1e8 * np.eye(COUNT)
-    shares = np.array([0.05, 0.2, 0.05, 0.2, 0.05, 0.2])
+    shares = np.array([0.02, 0.2, 0.02, 0.2, 0.02, 0.2])
     near, far = (
         learn_priors([kind()], precision, factor * shares * SIZES)
         for factor in (1.0, 100.0)
