@@ -39,7 +39,7 @@ def test_of_what_nothing_is_shown_the_spread_stays_the_usual_one():
 
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.25])
 def test_a_joint_that_stood_still_is_like_those_that_moved(share):
-    """It is drawn to their mean; the spread is theirs, or half of the mean."""
+    """It is drawn to their mean; the spread is theirs, or three quarters of the mean."""
     is_shown = np.arange(COUNT) != 2
     precision = np.diag(np.where(is_shown, 1e8, 0.0))
     found = share * SIZES * np.where(is_shown, 1.0, 7.0)
@@ -83,7 +83,11 @@ def test_what_is_not_shown_spreads_as_what_is():
     misses = []
     for _ in range(300):
         share = np.exp(rng.uniform(np.log(0.02), np.log(0.2)))
-        true = share * np.maximum(1.0 + 0.5 * rng.standard_normal(COUNT), 0.0) * SIZES
+        true = (
+            share
+            * np.maximum(1.0 + LEAST_SPREAD * rng.standard_normal(COUNT), 0.0)
+            * SIZES
+        )
         noise = 1e-2 * rng.standard_normal(COUNT)
         found = np.where(is_shown, true + noise, 0.0)
         priors = learn_priors([kind(is_shown)], precision, found)
