@@ -2,7 +2,7 @@
 
 Run from the checkout, one core is enough, a few minutes:
 
-    pip install -e ".[bench]"
+    pip install -e ".[dev,bench]"
     OMP_NUM_THREADS=1 python -m benchmarks.accuracy.against_mujoco_sysid
 
 Both get the same log of 15 s: positions with encoder steps and held torques with noise, of an arm
@@ -125,7 +125,7 @@ def joint_parameters(names=NAMES, bounds=BOUNDS):
 
     if not hasattr(sysid, "ParameterDict"):
         raise SystemExit(
-            "mujoco.sysid lacks what it imports; pip install -e '.[bench]'"
+            "mujoco.sysid lacks what it imports; pip install -e '.[dev,bench]'"
         )
     params = sysid.ParameterDict()
     for number, (low, high) in bounds.items():

@@ -2,7 +2,7 @@
 
 Run from the checkout, a quarter of an hour on one core; ``--write`` puts them into the page:
 
-    pip install -e ".[bench]"
+    pip install -e ".[dev,bench]"
     OMP_NUM_THREADS=1 python -m benchmarks.accuracy.real_logs [--write]
 
 The logs lie in ../shared/data beside the checkout. robot-sysid runs with its defaults; the other

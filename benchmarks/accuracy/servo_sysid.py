@@ -1,6 +1,6 @@
 """One log of an SO-101 behind position servos: mujoco.sysid's rollouts, and robot-sysid.
 
-    pip install -e ".[bench]"
+    pip install -e ".[dev,bench]"
     OMP_NUM_THREADS=1 python -m benchmarks.accuracy.servo_sysid
 
 MuJoCo alone makes two logs of 20 s at 50 Hz: it plays sines and steps with servos, friction and

@@ -1,6 +1,6 @@
 """mujoco.sysid's own arm: its test finds five rotor inertias again, and so does robot-sysid.
 
-    pip install -e ".[bench]" pytest
+    pip install -e ".[dev,bench]"
     OMP_NUM_THREADS=1 python -m benchmarks.accuracy.sysid_arm
 
 A few seconds. The arm, its motion of 2 s and the true numbers come with MuJoCo, in the tests of
