@@ -630,18 +630,20 @@ def odd_unit(fitted: Fit) -> Iterator[Finding]:
     """Yield the finding that one joint's torque has another unit than that of the other joints.
 
     Dry friction counts beside the torque: links hardly load some joints, but no joint has so much
-    more friction than the others.
+    more friction than the others. Joints that stood still show neither.
     """
-    torque, *_ = model_torque(fitted)
-    if len(torque) < 3:
+    moved = np.flatnonzero(np.any(fitted.sums.counts, axis=0))
+    if len(moved) < 3:
         return
+    torque = model_torque(fitted)[0][moved]
     least = LEAST_OF_LINKS * np.max(torque)
-    ratio = fitted.sums.rms_torque / np.maximum(torque, least)
-    joint = int(np.argmax(ratio))
-    factor = ratio[joint] / max(np.median(np.delete(ratio, joint)), 1e-9)
-    dry, _ = dry_friction(fitted)
-    friction = dry / np.median(np.maximum(np.delete(dry, joint), 1e-9))
-    if min(factor, friction[joint]) > OTHER_UNIT:
+    ratio = fitted.sums.rms_torque[moved] / np.maximum(torque, least)
+    most = int(np.argmax(ratio))
+    factor = ratio[most] / max(np.median(np.delete(ratio, most)), 1e-9)
+    dry = dry_friction(fitted)[0][moved]
+    friction = dry[most] / max(np.median(np.delete(dry, most)), 1e-9)
+    if min(factor, friction) > OTHER_UNIT:
+        joint = int(moved[most])
         scales = np.ones(fitted.arm.robot.n_joints)
         scales[fitted.arm.indices[joint]] = 1e-3
         after = refit(fitted, Reading.with_torque_times(scales)).unexplained_share
