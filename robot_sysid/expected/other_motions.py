@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +14,7 @@ from robot_sysid.estimate.choose import fastest_of, speeds_in
 from robot_sysid.estimate.equations.inverse import solve
 from robot_sysid.estimate.fit import Fit, settled_values
 from robot_sysid.estimate.rows import Sums
-from robot_sysid.estimate.terms import LAST_LINK
+from robot_sysid.estimate.terms import LAST_LINK, PAYLOAD
 from robot_sysid.expected.errors import ExpectedSquares, largest_expected
 from robot_sysid.expected.knowledge import (
     is_without_rows,
@@ -23,6 +22,7 @@ from robot_sysid.expected.knowledge import (
     with_zero_torque,
 )
 from robot_sysid.expected.motions import highest_speed, made_up_motions, sums_elsewhere
+from robot_sysid.expected.unknown import still_joints
 from robot_sysid.expected.unrecorded_arm import is_held
 from robot_sysid.records import Array
 
@@ -108,8 +108,7 @@ class OtherMotions:
     @property
     def still(self) -> tuple[str, ...]:
         """Names of the joints that stood still."""
-        is_still = is_without_rows(self.fitted)
-        return tuple(itertools.compress(self.fitted.arm.joints, is_still))
+        return still_joints(self.fitted)
 
     @property
     def faster(self) -> NDArray[np.bool_]:
@@ -118,11 +117,15 @@ class OtherMotions:
 
     @cached_property
     def names_in_file(self) -> list[str]:
-        """Names of what a file may hold, and of offsets."""
+        """Names of what a file may hold, of offsets and of a payload that it carries."""
         fitted = self.fitted
         kept = fitted.question.options.kept
-        terms = [t for t in fitted.arm.terms.values() if is_held(t, kept)]
-        return [name for term in terms for name in term.names]
+        return [
+            name
+            for term in fitted.arm.terms.values()
+            if term.cause == PAYLOAD or is_held(term, kept)
+            for name in term.names
+        ]
 
     @cached_property
     def _further(self) -> Sums:

@@ -237,9 +237,9 @@ def _offset_kind(
     return Kind(at, zero, sizes, usual, replaced, moved, False)
 
 
-def still_joints(fitted: Fit) -> set[str]:
+def still_joints(fitted: Fit) -> tuple[str, ...]:
     """Return the names of the joints that stood still."""
-    return {*itertools.compress(fitted.arm.joints, is_without_rows(fitted))}
+    return tuple(itertools.compress(fitted.arm.joints, is_without_rows(fitted)))
 
 
 def is_told(fitted: Fit, names: Sequence[str]) -> NDArray[np.bool_]:

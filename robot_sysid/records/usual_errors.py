@@ -115,7 +115,8 @@ the load. With a fifth of it files of slow motions were two to four times as wro
 twice as much half as wrong: friction of arms is between 1 % of the torque, where their sensors sit
 behind the gears, and 30 %."""
 LITTLE_FRICTION = 0.1
-"""Friction of an arm whose torque sensors sit behind its gears, over both of these."""
+"""Friction of an arm whose torque sensors sit behind its gears, over ``PLANNED_FRICTION`` and
+``PLANNED_DRY``."""
 PLANNED_LEAST = 0.03
 """Least torque of a joint of which these are shares, as a share of the strongest joint's: a wrist
 that carries nothing has friction all the same."""
