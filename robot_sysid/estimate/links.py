@@ -178,7 +178,8 @@ def link_factor(
         return np.zeros((len(directions), len(directions)))
     common = common_error(robot, share)
     stated = stated_kinds(robot, links, odd)
-    scaled = directions * deviations(stated, share, scales, common)
+    (sizes,) = deviations(stated, share, np.array([astuple(scales)]), common)
+    scaled = directions * sizes
     if further is not None:
         scaled = np.hstack((scaled, further))
     return np.asarray(np.linalg.cholesky(scaled @ scaled.T))
@@ -212,17 +213,17 @@ def stated_kinds(
 
 
 def deviations(
-    stated: NDArray[np.bool_], share: float, scales: LinkScales, common: float = 0.0
+    stated: NDArray[np.bool_], share: float, factors: Array, common: float = 0.0
 ) -> Array:
-    """Return the standard deviation (10 L + 2,) along each column of ``link_directions``.
+    """Return the standard deviations (m, 10 L + 2) along the columns of ``link_directions``.
 
-    The error that all masses share is the links', or ``common``.
+    They are those of factors (m, 3), each the numbers of ``LinkScales``. The error that all masses
+    share is the links', or ``common``.
     """
-    sizes = np.where(stated, share * np.array(astuple(scales)), 1.0)
-    return np.append(
-        np.repeat(sizes, (1, 3, 6), axis=1),
-        (common or share, share * scales.centre_of_mass),
-    )
+    sizes = np.where(stated, share * factors[:, None], 1.0)
+    own = np.repeat(sizes, (1, 3, 6), axis=2).reshape(len(factors), -1)
+    of_all = np.full(len(factors), common or share)
+    return np.column_stack((own, of_all, share * factors[:, 1]))
 
 
 def link_directions(
@@ -370,14 +371,13 @@ class LinkEvidence:
 
     def log_likelihood(self, scales: LinkScales) -> float:
         """Return log p(S) up to a constant."""
-        return float(self.log_likelihoods([scales])[0])
+        return float(self.log_likelihoods(np.array([astuple(scales)]))[0])
 
-    def log_likelihoods(self, scales: Sequence[LinkScales]) -> Array:
-        """Return the same (m,) of several scales, at once."""
-        scale = np.ones((len(scales), len(self.gradient)))
-        for own, each in zip(scale, scales):
-            sizes = deviations(self.stated, self.share, each, self.common)
-            own[: len(sizes)] = sizes
+    def log_likelihoods(self, factors: Array) -> Array:
+        """Return the same (m,) of factors (m, 3), each the numbers of ``LinkScales``, at once."""
+        sizes = deviations(self.stated, self.share, factors, self.common)
+        scale = np.ones((len(factors), len(self.gradient)))
+        scale[:, : sizes.shape[1]] = sizes
         gradient = scale * self.gradient
         count, size = scale.shape
         # The root of a matrix with the gradient as one more row has L^-1 gradient in that row.
@@ -418,8 +418,7 @@ def _scale_posterior(evidence: LinkEvidence) -> tuple[Array, Array]:
     grid = np.array(list(product(*_GRID)))
     octaves = np.log2(grid / np.array(usual_errors.USUAL_SCALES))
     log_posterior = -0.5 * np.sum(octaves**2, axis=1)
-    scales = [LinkScales(*each) for each in grid.tolist()]
-    return grid, log_posterior + evidence.log_likelihoods(scales)
+    return grid, log_posterior + evidence.log_likelihoods(grid)
 
 
 def log_evidence(evidence: LinkEvidence) -> float:

@@ -1,6 +1,6 @@
 """What the data decides: shared motors that it clearly shows, and how wrong models' links are."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import mujoco
 import numpy as np
@@ -288,10 +288,16 @@ STATED = np.ones((N_LINKS, 3), dtype=bool)
 USUAL = LinkScales(4.0, 2.0, 2.0)
 
 
+def deviations_of(stated, share, scales):
+    """Return the standard deviations along the directions of links, of one set of factors."""
+    (sizes,) = deviations(stated, share, np.array([astuple(scales)]))
+    return sizes
+
+
 def evidence_of(seed, scales, noise=0.01):
     """Return (evidence, rows, data) of all directions of links whose errors have these scales."""
     rng = np.random.default_rng(seed)
-    scale = deviations(STATED, 1.0, scales)
+    scale = deviations_of(STATED, 1.0, scales)
     rows = rng.standard_normal((3 * len(scale), len(scale)))
     data = rows @ (scale * rng.standard_normal(len(scale)))
     data += noise * rng.standard_normal(len(data))
@@ -307,7 +313,7 @@ def test_the_likelihood_of_link_scales_is_that_of_the_data(seed):
     likelihoods = []
     expected = []
     for scales in (USUAL, LinkScales(4.0, 3.0, 2.0)):
-        scale = deviations(STATED, 1.0, scales)
+        scale = deviations_of(STATED, 1.0, scales)
         likelihoods.append(evidence.log_likelihood(scales))
         covariance = noise**2 * np.eye(len(rows)) + (rows * scale**2) @ rows.T
         log_determinant = np.linalg.slogdet(covariance)[1]
@@ -420,7 +426,8 @@ def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
     ((term, span),) = [pair for pair in terms if pair[0].cause == LINKS]
     arm = noisy_fit.arm
     directions = link_directions(arm.robot, arm.others)
-    scale = deviations(evidence.stated, evidence.share, noisy_fit.question.link_scales)
+    scales = noisy_fit.question.link_scales
+    scale = deviations_of(evidence.stated, evidence.share, scales)
     inner = np.eye(len(scale)) + scale[:, None] * evidence.curvature * scale
     found = directions @ (scale * np.linalg.solve(inner, scale * evidence.gradient))
     moved = noisy_fit.free[span] - term.prior.mean
