@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -134,7 +134,7 @@ class OtherMotions:
         return self._sums(self._highest)
 
     def next_motion(
-        self, file: Fit, now: float
+        self, file: Fit, now: float, motions: Sequence[FurtherMotion] = FURTHER_MOTIONS
     ) -> tuple[FurtherMotion, float] | tuple[None, float]:
         """Return the motion whose log lowers the error of a file most, and the error after it.
 
@@ -144,14 +144,13 @@ class OtherMotions:
         Args:
             file: the fit of the file.
             now: its expected error.
+            motions: from which it is taken; those that cost less first.
         """
-        errors = [
-            self._error_after(file, motion.duration) for motion in FURTHER_MOTIONS
-        ]
+        errors = [self._error_after(file, motion.duration) for motion in motions]
         best = min(errors)
         if best > GAIN * now:
             return None, best
-        pairs = zip(FURTHER_MOTIONS, errors)
+        pairs = zip(motions, errors)
         return next(pair for pair in pairs if pair[1] <= AS_GOOD * best)
 
     def _error_after(self, file: Fit, length: float) -> float:

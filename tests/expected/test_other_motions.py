@@ -250,13 +250,12 @@ def test_the_same_run_promises_the_same(fits):
     assert first == second
 
 
-def test_what_no_file_holds_is_off_after_an_endless_log_too(monkeypatch):
+def test_what_no_file_holds_is_off_after_an_endless_log_too():
     """It is what the best file of arms lacks that are drawn from what the first log says."""
     fitted, file = fit_of(drawn(6, move=with_still_joint))
     motions = OtherMotions(fitted)
     endless = [FurtherMotion((), 1e9)]
-    monkeypatch.setattr("robot_sysid.expected.other_motions.FURTHER_MOTIONS", endless)
-    _, promised = motions.next_motion(file, np.inf)
+    _, promised = motions.next_motion(file, np.inf, endless)
     sums = motions.fast
     of_log = knowledge_of(fitted, sums)
     known = of_log.after()
