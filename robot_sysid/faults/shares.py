@@ -72,14 +72,17 @@ class Shares:
 
     @property
     def has_no_weight(self) -> bool:
-        """Whether the links' weight has gone from all joints that it says something of."""
+        """Whether the links' weight has gone from all joints that it says something of.
+
+        At one joint alone the last link, of which nothing is known, takes up that of all others.
+        """
         own = self.is_weighed
         most = np.abs(self.weight) + np.sqrt(np.diag(self.weight_covariance))
         is_small = np.abs(self.weight) * self.torque < OTHERWISE * self.measured
         is_lost = (most < LOST) & is_small
         share, error = common_share(self.weight, self.weight_covariance)
         is_clear = abs(share) + INTERVAL * error < LOST and self.left < MOST_LEFT
-        return bool(np.all(is_lost[own]) and is_clear)
+        return bool(np.sum(own) > 1 and np.all(is_lost[own]) and is_clear)
 
     @property
     def is_weight_alone(self) -> bool:

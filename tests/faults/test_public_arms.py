@@ -282,3 +282,17 @@ def test_a_file_of_a_joint_at_a_time_is_better_than_the_model(seed):
     gravity = turn_gravity(file.point.gravity, [file.by_name[n] for n in TILT_NAMES])
     cosine = gravity @ gravity_vector(robot) / np.sum(gravity**2)
     assert np.degrees(np.arccos(min(cosine, 1.0))) < INTERVAL * GRAVITY_IN_FILE
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_one_loaded_joint_that_moves_with_two_light_ones_shows_no_lost_weight(seed):
+    """Joints 4, 5 and 7 move alone: the last link takes up the weight of the others."""
+    robot = load_robot_model(MODELS / ARMS["fr3"])
+
+    def three_alone(plan, _):
+        moved = plan.scale_amplitudes(np.isin(range(7), [3, 4, 6]))
+        return moved.evaluate(np.arange(round(250.0 * plan.duration)) / 250.0)
+
+    truth = draw_arm(robot, "straight", True, 20.0, False, seed, three_alone, 0.1)
+    found = findings_of(robot, replace(truth.log, name="log"))
+    assert not [each.text for each in found if each.level is not Level.SAYS]
