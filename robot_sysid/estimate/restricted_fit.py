@@ -162,11 +162,13 @@ def fit_file(estimate: Fit, carried: Array | None = None, may_bend: bool = True)
     free = estimate.fit([*terms, offset], held, estimate.noise, possible=False)
     terms.append(_known_offsets(replace(free, left_out=LeftOut.EACH)))
     if TILT in arm.terms and FILE_GRAVITY not in unchanged:
-        prior = independent(np.full(2, np.radians(usual_errors.GRAVITY_IN_FILE)))
-        tilt = replace(arm.terms[TILT], prior=prior)
-        # Gravity is turned only where the torques clearly show it, whatever bodies are possible.
+        usual = np.radians(usual_errors.GRAVITY_IN_FILE)
+        tilt = replace(arm.terms[TILT], prior=independent(np.full(2, usual)))
+        # Gravity is turned only where the torques clearly show it, whatever bodies are possible. A
+        # base that stands further off is found before; here it is what bodies cannot take up.
         free = estimate.fit(terms, held, free.noise, possible=False)
-        if Offers(free, free.weights).offer(Effect.of(tilt)).gain > CLEAR:
+        offer = Offers(free, free.weights).offer(Effect.of(tilt))
+        if offer.gain > CLEAR and np.linalg.norm(offer.values) < INTERVAL * usual:
             terms.append(tilt)
     fitted = estimate.fit(terms, held, free.noise)
     # What is printed as held-out is the error of such files, not of fits without their bounds.
