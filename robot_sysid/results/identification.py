@@ -118,14 +118,18 @@ def link_result(
         robot = fitted.arm.robot
         odd = fitted.question.odd_number
         kinds = {} if odd is None else {robot.links[odd.link].body_name: odd.kind}
-        # What judges the log has named the mistakes of the model.
+        # What judges the log has named the mistakes of the model, but no number that is odd beside.
         mistaken = {
             robot.links[number].body_name
             for mistake in fitted.question.mistakes
             for number in mistake.links
         }
-        right = [link for link in other_links if link.name not in mistaken]
-        remarks += wrong_links(right, written, kinds)
+        asked = [
+            link
+            for link in other_links
+            if link.name not in mistaken or link.name in kinds
+        ]
+        remarks += wrong_links(asked, written, kinds)
     return result_of(
         fitted,
         file,
