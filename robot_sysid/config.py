@@ -332,6 +332,11 @@ class IdentifyConfig(LogConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.output.torque_from is None:
+            if self.log.servo_setting:
+                raise InputError(
+                    f"{option_name('servo_setting')} is about servos; add --torque-from "
+                    "position-error at the command line"
+                )
             return
         useless = [*option_fields.given_values(self.estimation)]
         if self.log.torque_scale is not None:

@@ -83,6 +83,10 @@ REFUSED = {
     "identify a.xml b.csv --torque-from position-error --keep links": (
         "--keep is about measured torques"
     ),
+    "identify a.xml b.csv --servo-setting kp=400": "--servo-setting is about servos; add --tor",
+    "identify a.xml b.csv --torque-from position-error --servo-setting gain=4": (
+        "argument --servo-setting: 'gain=4' is no part of a setting; valid keys: kp (the servos'"
+    ),
     "identify a.xml b.csv --polish": "unrecognized arguments: --polish",
     f"{PAYLOAD} --torque-from position-error": "unrecognized arguments: --torque-from",
     "plan a.xml --torque-from position-error": "unrecognized arguments: --torque-from",

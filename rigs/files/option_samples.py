@@ -15,6 +15,7 @@ from robot_sysid.commands.arguments import CONSOLE, Parser
 from robot_sysid.config import Config
 from robot_sysid.estimate.options import Priors
 from robot_sysid.records.option_fields import Option, command_arguments
+from robot_sysid.records.servo_setting import ServoSetting
 
 # Values that cannot be made from the kind of value alone.
 _CHOSEN = {
@@ -27,6 +28,10 @@ _CHOSEN = {
     "priors": Priors(link=7.0, file=Path("priors.toml")),
     "empty": (Path("a.csv"), Path("b.csv")),
     "order": "AB",
+    "servo_setting": (
+        ServoSetting(400.0, 7.4),
+        ServoSetting(load_mass=0.2, load_position=(0.0, 0.0, -0.1)),
+    ),
 }
 
 

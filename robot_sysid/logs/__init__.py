@@ -14,9 +14,11 @@ from robot_sysid.records.option_fields import (
     Columns,
     Factors,
     OptionRecord,
+    ValueKind,
     check_factor,
     option,
 )
+from robot_sysid.records.servo_setting import FORM, ServoSetting, parse_servo_setting
 
 
 @dataclass(frozen=True)
@@ -90,4 +92,16 @@ class FittedLogOptions(LogOptions):
         "LOG",
         repeats=True,
         takes_many=True,
+    )
+    servo_setting: tuple[ServoSetting, ...] = option(
+        (),
+        f"with {{torque_from}}: what servos were recorded with, such as '{FORM}'; once for all "
+        "logs, or once for each in their order; may be repeated",
+        "SETTING",
+        parse=parse_servo_setting,
+        kind=ValueKind(
+            parse_servo_setting, (ServoSetting,), f"a text such as '{FORM}'"
+        ),
+        repeats=True,
+        default_text="what the file says",
     )

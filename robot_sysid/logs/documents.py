@@ -13,16 +13,17 @@ import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table, fields
+from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.ros_messages import READERS
 from robot_sysid.logs.states import named_rows, states_table
@@ -39,6 +40,7 @@ from robot_sysid.logs.text import (
 )
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
+from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.wording import option_name
 
 
@@ -63,7 +65,66 @@ def json_table(path: Path, *_: Any) -> LogTable:
     if isinstance(content, dict):
         names = {key: value for key, value in content.items() if is_names(value)}
         states = [{**names, **state} for state in states]
+        for form in _SERVO_FORMS:
+            if form.setting.keys() <= content.keys():
+                return form.table(path, content, states)
     return states_table(path, "JSON, a list of states", states, "state")
+
+
+@dataclass(frozen=True)
+class _ServoForm:
+    """A form of JSON with the states of a servo, beside what they were recorded with.
+
+    Attributes:
+        layout: see ``LogTable``.
+        setting: key of the document to the field of ``ServoSetting`` that it states; a document
+            that has all of them is of this form.
+        further: further fields that hold for all such documents.
+        switch: key of a state that says whether the servo was switched on.
+        choices: units of the numbers.
+    """
+
+    layout: str
+    setting: Mapping[str, str]
+    further: Mapping[str, Any]
+    switch: str
+    choices: ColumnChoices
+
+    def table(
+        self, path: Path, content: Mapping[str, Any], states: Sequence[Any]
+    ) -> LogTable:
+        """Return the states in which the servo was on as a table; they show nothing of it else."""
+        stated: dict[str, Any] = {}
+        for key, field in self.setting.items():
+            stated[field] = float(content[key])
+        with prefix_input_errors(str(path)):
+            setting = ServoSetting(**stated, **self.further)
+        kept = [state for state in states if state.get(self.switch, True)]
+        count = len(states) - len(kept)
+        notes = [f"recorded with {setting}"]
+        if count:
+            notes.append(f"left out rows with {self.switch} false: {count}")
+        for state in kept:
+            state.pop(self.switch, None)
+        table = states_table(path, self.layout, kept, "state", tuple(notes))
+        return replace(table, choices=self.choices, setting=setting)
+
+
+_SERVO_FORMS = (
+    # Of Rhoban's BAM, which identifies servos with a pendulum: https://github.com/Rhoban/bam
+    _ServoForm(
+        "JSON of BAM, a list of states",
+        {
+            "kp": "register",
+            "vin": "voltage",
+            "mass": "load_mass",
+            "length": "load_distance",
+        },
+        {"is_whole_link": True},
+        "torque_enable",
+        ColumnChoices(angle_unit="rad", time_unit="s"),
+    ),
+)
 
 
 def _as_rows(content: dict[str, Any]) -> Any:

@@ -166,7 +166,7 @@ def join_pair(position: Half, torque: Half) -> LogTable:
         f"positions of {table} and torques of {torque.table} are one log, joined {how}"
     )
     torque_titles = [torque.table.titles[k] for k in tau_columns]
-    return make_table(
+    joined = make_table(
         table.path,
         table.layout,
         [*zip(table.titles, cells.T), *zip(torque_titles, tau.T)],
@@ -175,6 +175,7 @@ def join_pair(position: Half, torque: Half) -> LogTable:
         notes=(*table.notes, *torque.table.notes, note),
         starts=table.starts,
     )
+    return replace(joined, setting=torque.table.setting.over(table.setting))
 
 
 def _are_equal(times: Array, others: Array) -> bool:

@@ -32,15 +32,21 @@ from robot_sysid.logs.suggestion import shortened, suggest_columns
 from robot_sysid.logs.table import LogTable, as_input_errors
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
-from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.messages import Detail, Progress, count_text
 from robot_sysid.records.option_fields import (
     CONSTANTS,
     SCALE,
     joint_factors,
     options_of,
 )
+from robot_sysid.records.servo_setting import UNKNOWN, ServoSetting
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
-from robot_sysid.wording import is_for_python, option_setting, with_option_names
+from robot_sysid.wording import (
+    is_for_python,
+    option_name,
+    option_setting,
+    with_option_names,
+)
 
 
 def open_logs(
@@ -103,7 +109,7 @@ def _read_table(
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
     pieces = piece_notes(recording, split_at_gaps(recording))
     notes = (*details, *table.notes, *columns.notes, *recording.notes, *pieces)
-    return replace(recording, notes=notes, options=vars(options))
+    return replace(recording, notes=notes, options=vars(options), setting=table.setting)
 
 
 def _refuse_other_reading(
@@ -138,6 +144,33 @@ def refuse_repeated_logs(logs: Sequence[Recording]) -> None:
                 f"{other} has the samples of {log}: noise that counts twice makes errors too "
                 "small, and no log tests itself; give each log once"
             )
+
+
+def with_settings(
+    logs: Sequence[Recording], settings: Sequence[ServoSetting]
+) -> list[Recording]:
+    """Return logs with what the user says that servos were recorded with, over what files say.
+
+    Args:
+        logs: that were read; those that only test the result come last.
+        settings: one for all logs, or one for each; () where nothing is said.
+
+    Raises:
+        InputError: the number of settings does not fit.
+    """
+    if len(settings) not in (0, 1, len(logs)):
+        listed = ", ".join(map(str, logs))
+        raise InputError(
+            f"{option_name('servo_setting')} is given {len(settings)} times for "
+            f"{count_text(len(logs), 'log')} ({listed}); give it once for all, or once for each "
+            "in this order"
+        )
+    stated = settings if len(settings) == len(logs) else [*settings] * len(logs)
+    given = stated or [UNKNOWN] * len(logs)
+    return [
+        replace(log, setting=setting.over(log.setting))
+        for log, setting in zip(logs, given)
+    ]
 
 
 def _map_columns(finder: ColumnFinder) -> ColumnMap:

@@ -27,6 +27,7 @@ from robot_sysid.records.data import shift_behind
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import missing_library
 from robot_sysid.records.messages import Progress
+from robot_sysid.records.servo_setting import UNKNOWN, ServoSetting
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 
 ROWS = 10_000
@@ -133,6 +134,7 @@ class LogTable:
             Columns and files are aligned by them (``seconds_after``). Dates that lie among other
             texts, as in JSON, count from 1970 themselves.
         form: what the file has to be, for the error where its rows cannot be read.
+        setting: what servos were recorded with, where the file says it.
     """
 
     path: Path
@@ -145,6 +147,7 @@ class LogTable:
     notes: tuple[str, ...] = ()
     starts: Mapping[str, int] = field(default_factory=dict)
     form: str = "a log"
+    setting: ServoSetting = UNKNOWN
 
     def __fspath__(self) -> str:
         """The path, so that arrays may stand where a file is expected."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records.arrays import Array, check_arrays
 from robot_sysid.records.messages import count_text
+from robot_sysid.records.servo_setting import UNKNOWN, ServoSetting
 
 RECORDING_SEPARATION = 10.0
 """Time that is put between recordings with separate clocks [s]: longer than any filter."""
@@ -206,6 +207,7 @@ class Recording:
         is_loaded: whether the arm carries the payload.
         order: position among all recordings in time, from -1 for the first to 1 for the last; 0
             where the order is not known.
+        setting: what servos were recorded with.
     """
 
     time: Array
@@ -223,6 +225,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     is_loaded: bool = False
     order: float = 0.0
+    setting: ServoSetting = UNKNOWN
 
     def __post_init__(self) -> None:
         _check_samples(self, "qd", "tau", "qdd", "joint_time", "command")

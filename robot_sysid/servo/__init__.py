@@ -22,7 +22,12 @@ from robot_sysid.export import (
     write_simulator_cards,
 )
 from robot_sysid.logs import FittedLogOptions
-from robot_sysid.logs.reader import open_logs, origin_of, refuse_repeated_logs
+from robot_sysid.logs.reader import (
+    open_logs,
+    origin_of,
+    refuse_repeated_logs,
+    with_settings,
+)
 from robot_sysid.records import Array, Motion, Recording, RobotModel, file_access
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import Progress
@@ -151,8 +156,9 @@ def identify_servos(
     options = replace(logs, commanded=True)
     fitted_logs = open_logs(robot, logs.measurements, options, progress, kind)
     tests = open_logs(robot, logs.validation_measurements, options, progress, kind)
-    opened = [*fitted_logs, *tests]
-    refuse_repeated_logs(opened)
+    refuse_repeated_logs([*fitted_logs, *tests])
+    opened = with_settings([*fitted_logs, *tests], logs.servo_setting)
+    fitted_logs, tests = opened[: len(fitted_logs)], opened[len(fitted_logs) :]
     check_commands(opened, robot.joint_names)
     fitted: list[Recording] = [*chain(*map(split_at_gaps, fitted_logs))]
     held_out: list[Recording] = [*chain(*map(split_at_gaps, tests))]

@@ -80,6 +80,7 @@ def resample_uniformly(recording: Recording) -> Recording:
         notes=notes,
         is_loaded=recording.is_loaded,
         order=recording.order,
+        setting=recording.setting,
     )
 
 

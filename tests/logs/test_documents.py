@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from rigs.arms.small_arms import Y, robot_of, serial_arm
 from rigs.logs import recorded
 from rigs.logs.log_files import (
     JOINTS,
@@ -16,7 +18,10 @@ from rigs.logs.log_files import (
     notes_of,
     read_measurements,
 )
+from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, reader
+from robot_sysid.logs.reader import open_logs, with_settings
+from robot_sysid.records.servo_setting import UNKNOWN, ServoSetting
 
 DATA = motion(60)
 STATES = [
@@ -168,3 +173,56 @@ def test_joint_states_of_ros_beside_json_are_named(tmp_path):
     assert_refused(
         "joint states of ROS .*/joint_states.* beside messages of JSON", path
     )
+
+
+PENDULUM = serial_arm((Y,))
+
+
+def bam_file(folder, kp, **changes):
+    """Write a recording of a pendulum as BAM does, the servo switched off at its end."""
+    time = np.arange(400) / 200.0
+    goal = 0.5 * np.sin(3.0 * time)
+    entries = [
+        {
+            "position": goal[max(0, k - 4)],
+            "speed": 0.0,
+            "load": 65527,
+            "input_volts": 7.3,
+            "temp": 29,
+            "timestamp": t,
+            "goal_position": goal[k],
+            "torque_enable": k < 300,
+        }
+        for k, t in enumerate(time.tolist())
+    ]
+    content = {"mass": 0.49, "length": 0.1, "kp": kp, "vin": 7.4, "motor": "xl330"}
+    path = folder / f"kp{kp}.json"
+    path.write_text(json.dumps({**content, **changes, "entries": entries}))
+    return path
+
+
+def test_json_of_bam_says_what_its_servo_was_recorded_with(tmp_path):
+    """Its numbers are radians, and what hangs on a servo that is off is none of its motion."""
+    robot = robot_of(PENDULUM)
+    paths = [bam_file(tmp_path, kp) for kp in (400, 100)]
+    logs = open_logs(robot, paths, LogOptions(commanded=True))
+    pendulum = ServoSetting(None, 7.4, 0.49, load_distance=0.1, is_whole_link=True)
+    for log, register in zip(logs, (400.0, 100.0)):
+        assert log.setting == replace(pendulum, register=register)
+        assert len(log) == 300 and np.ptp(log.command) > 0.9
+        assert "left out rows with torque_enable false: 100" in log.notes
+        assert log.columns.angle_declared
+    stated = ServoSetting(register=200.0)
+    settings = [each.setting for each in with_settings(logs, [stated])]
+    assert settings == [replace(pendulum, register=200.0)] * 2
+    both = with_settings(logs, [stated, UNKNOWN])
+    assert [each.setting.register for each in both] == [200.0, 100.0]
+    assert with_settings(logs, ())[0].setting == logs[0].setting
+    with pytest.raises(InputError, match="given 3 times for 2 logs"):
+        with_settings(logs, [stated] * 3)
+
+
+def test_json_of_bam_that_cannot_be_is_refused_by_its_name(tmp_path):
+    path = bam_file(tmp_path, 400, vin=-7.4)
+    with pytest.raises(InputError, match=r"kp400.json: .*voltage must be positive"):
+        open_logs(robot_of(PENDULUM), [path], LogOptions(commanded=True))
