@@ -361,7 +361,7 @@ def test_the_rate_of_a_log_decides_nothing(rate):
         (FOLLOWED, FUTURE, COPIED),
         (delay(COMMAND, 30), COMMAND, ("0.6 s before", "0.5 s")),
         (COMMAND + NOISE, delay(COMMAND, 3), ("-0.06 s before", "exchanged")),
-        (FOLLOWED, RNG.normal(size=COMMAND.shape), ("correlation of 0.0",)),
+        (FOLLOWED, RNG.normal(size=COMMAND.shape), ("correlation of -0.0",)),
         (FOLLOWED, -COMMAND, ("change -1", "sign")),
         (FOLLOWED, COMMAND + 1.0, ("differ by 1 ", "zeros")),
     ],
