@@ -260,6 +260,32 @@ def servos() -> None:
     servo_logs.write(Path("log.csv"), time, positions, goals)
 
 
+def servos_titled(position: str, goal: str) -> Callable[[], None]:
+    """Return what writes the same in degrees, under titles with "{}" for a joint's name."""
+
+    def prepare() -> None:
+        servos()
+        rows = np.loadtxt("log.csv", delimiter=",", skiprows=1)
+        rows[:, 1:] = np.degrees(rows[:, 1:])
+        names = load_robot_model("arm.xml").joint_names
+        titles = ["time", *map(position.format, names), *map(goal.format, names)]
+        np.savetxt("log.csv", rows, "%.9g", ",", header=",".join(titles), comments="")
+
+    return prepare
+
+
+def servos_with_a_gripper() -> None:
+    """The same under numbers, with a gripper's behind them."""
+    servos()
+    rows = np.loadtxt("log.csv", delimiter=",", skiprows=1)
+    rows = rows[:, [0, 1, 2, 1, 3, 4, 3]]
+    numbers = [
+        f"{name}[{k}]" for name in ("observation.state", "action") for k in range(3)
+    ]
+    header = ",".join(["time", *numbers])
+    np.savetxt("log.csv", rows, "%.9g", ",", header=header, comments="")
+
+
 def two_arms() -> None:
     written_arm(small_arms.TWO_ARMS)
 
@@ -396,6 +422,22 @@ SITUATIONS = {
         ("logs.column_map --torque-constants",),
         "log log.csv arm.xml",
         log_titled(time="t", qN="q", currentN="tau"),
+    ),
+    "goals in degrees": Situation(
+        ("logs.column_map --torque-from", "logs.suggestion --units"),
+        "log log.csv arm.xml",
+        servos_titled("observation.{}.pos", "action.{}.pos"),
+    ),
+    "goals under other titles": Situation(
+        ("logs.reader --columns", "logs.suggestion --torque-from"),
+        "log log.csv arm.xml",
+        servos_titled("{} Winkel", "{} Sollwert"),
+    ),
+    "goals with a gripper's": Situation(
+        ("logs.reader --columns", "logs.suggestion --torque-from"),
+        "log log.csv arm.xml",
+        servos_with_a_gripper,
+        knows={"position": "#2..#3", "command": "#5..#6"},
     ),
     "goals": Situation(
         ("logs.column_map --torque-from",), "log log.csv arm.xml", servos

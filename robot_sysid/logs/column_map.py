@@ -73,6 +73,24 @@ class ColumnFinder:
         has_currents = len(currents) >= self.robot.n_joints
         return "current" if self.choices.currents and has_currents else "torque"
 
+    @cached_property
+    def has_servos(self) -> bool:
+        """Whether titles name commands of as many joints as the arm has, and no torques; then the
+        torque can be taken from the distance of positions to commands (``of_servos``).
+        """
+        named = [title.likely_quantity for title in self.titles]
+        torques = ("torque", "current", "commanded", "computed")
+        is_open = self.driven == "torque" and not self.choices.of("torque")
+        n_joints = self.robot.n_joints
+        return is_open and named.count("command") >= n_joints > sum(
+            map(named.count, torques)
+        )
+
+    @property
+    def of_servos(self) -> ColumnFinder:
+        """The finder of the same columns that looks for commands in place of torques."""
+        return replace(self, choices=replace(self.choices, commanded=True))
+
     def _texts_of(self, quantity: str) -> list[str]:
         """Return the titles that name a quantity beside other words."""
         return [t.text for t in self.titles if t.quantity_beside_name == quantity]
@@ -148,13 +166,14 @@ class ColumnFinder:
         try:
             if quantity == "time":
                 return tuple(filter(None, [self.find_time()]))
-            return self._find_joints(quantity)
+            # Torques of a log that is read for its commands are not looked for.
+            return self._find_joints(quantity) if quantity in self._quantities else ()
         except InputError:
             return ()
 
     def matches(self, quantity: str, likely: Sequence[Match] = ()) -> list[Match]:
         """Return the columns that hold a quantity for certain, or else likely ones that could."""
-        columns = self.recognise(quantity) if quantity in self._quantities else ()
+        columns = self.recognise(quantity)
         indices = tuple(column.index for column in columns)
         certain = [Match(quantity, indices, "", Confidence.CERTAIN)] if indices else []
         return surest_matches([*certain, *likely], quantity, self.titles)
@@ -333,10 +352,10 @@ class ColumnFinder:
             )
             return InputError(fault, [("--torque-constants", "1")])
         torques = self._unused_torques()
-        commands = self._texts_of("command")
-        if len(commands) >= n_joints and not torques:
+        commands = self.of_servos.recognise("command") if self.has_servos else ()
+        if commands:
             fault += (
-                f"; {commands[0]}, ... are commanded positions, as of position servos: "
+                f"; {commands[0].title}, ... are commanded positions, as of position servos: "
                 "identify --torque-from position-error takes the torque from the distance of "
                 "positions to them; torques that it has are named with "
                 f"{option_name('columns', 'FILE')}"

@@ -257,7 +257,10 @@ def match_joints(
     name_in_log = {joint: name for name, joint in matched.items()}
     candidates = {}
     for quantity in quantities:
-        by_name = [named[quantity, name_in_log.get(name, name)] for name in joint_names]
+        own_names: Mapping[str, str] = name_in_log
+        if quantity == "command":
+            own_names = _names_of_commands(named, joint_names) or name_in_log
+        by_name = [named[quantity, own_names.get(name, name)] for name in joint_names]
         # Names decide for all joints of a quantity or for none.
         if not all(by_name[joint_names.index(name)] for name in moving):
             by_name = [[]] * robot.n_joints
@@ -279,6 +282,24 @@ def match_joints(
             for columns, others in zip(by_name, numbered)
         ]
     return candidates, joint_note(matched, names)
+
+
+def _names_of_commands(
+    named: Iterable[tuple[Any, str]], joint_names: Sequence[str]
+) -> Mapping[str, str]:
+    """Return joint to its name in titles of commands; empty where these do not name all.
+
+    They come from another device than positions, and may have other words around them.
+
+    Args:
+        named: quantity, and name of a joint, of titles.
+        joint_names: (n,) of the arm.
+    """
+    names = [name for quantity, name in named if quantity == "command"]
+    with suppress(InputError):
+        matched = match_joint_names(names, joint_names)
+        return {joint: name for name, joint in matched.items()}
+    return {}
 
 
 def _order_of_numbers(

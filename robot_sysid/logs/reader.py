@@ -184,8 +184,12 @@ def _map_columns(finder: ColumnFinder) -> ColumnMap:
     except InputError as error:
         fault = "; ".join((f"{table}: {error}", *table.notes))
         suggestion = None
-        if isinstance(error, UnrecognisedError):
+        if finder.has_servos or isinstance(error, UnrecognisedError):
             suggestion = suggest_columns(finder)
+        if suggestion and error.options:
+            # Titles tell positions and commands, and nothing is missing but their units.
+            options = [(*suggestion.unit_words, *words) for words in error.options]
+            raise InputError(fault, options, error.command) from None
         if suggestion is None:
             if not error.options:
                 titles = ", ".join(shortened(table.titles, "more"))
@@ -200,7 +204,8 @@ def _map_columns(finder: ColumnFinder) -> ColumnMap:
         doubt = f"with the '?' filled in{suggestion.fillings}"
     action = f"give {option_setting('columns', line)}" if is_for_python() else "run"
     sentences = [fault, *reasons, f"{doubt}, {action}"]
-    raise InputError("; ".join(sentences), [("--columns", line, *suggestion.further)])
+    options = [("--columns", line, *suggestion.further)]
+    raise InputError("; ".join(sentences), options, suggestion.command)
 
 
 def origin_of(logs: Sequence[Recording], sources: Iterable[Any]) -> DataOrigin:

@@ -41,6 +41,7 @@ FILLINGS: Mapping[str, str] = {
     "rate": "rows per second",
     "position": "the listed columns that are positions",
     "torque": "the listed columns that are torques",
+    "command": "the listed columns that are commanded positions",
     "units": "their unit, such as deg, or 4096/rev of counts; of the time, such as ms",
 }
 """Key of a line to what a person puts into its blank."""
@@ -98,12 +99,14 @@ class Suggestion:
         units: of the line.
         reasons: sentences on columns, and on what their numbers told.
         further: options that it needs beside.
+        command: the only command that has these; "" where every one has them.
     """
 
     entries: Mapping[str, str]
     units: tuple[str, ...]
     reasons: tuple[str, ...]
     further: tuple[str, ...] = ()
+    command: str = ""
 
     def declare(self, key: str, value: str, *reasons: str) -> Suggestion:
         """Return the suggestion with an entry more, and sentences on it."""
@@ -129,6 +132,12 @@ class Suggestion:
         """The declarations as ``--columns`` takes them."""
         entries = self._all_entries.items()
         return ", ".join(f"{key} = {value}" for key, value in entries)
+
+    @property
+    def unit_words(self) -> tuple[str, ...]:
+        """The units as an option; () where there are none, or one could not be told."""
+        is_told = self.units and BLANK not in self.units
+        return ("--units", ",".join(self.units)) if is_told else ()
 
     @property
     def blanks(self) -> list[str]:
@@ -514,6 +523,8 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     """Return the declarations that a log lacks, behind those that were given; None where no columns
     are a group, and no single joint lacks its own.
     """
+    is_of_servos = finder.has_servos
+    finder = finder.of_servos if is_of_servos else finder
     samples = _read_samples(finder.table)
     evidence = Evidence(finder, samples, [*_find_groups(finder, samples)])
     groups = evidence.groups
@@ -531,6 +542,14 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     entries = finder.choices.entries
     units = tuple(filter(None, [entries.get("units")]))
     suggestion = Suggestion(entries, units, (f"its columns are {listed}",))
+    if is_of_servos:
+        suggestion = replace(
+            suggestion.explain(
+                "no titles name torques, and some name commanded positions, as of servos"
+            ),
+            further=("--torque-from", "position-error"),
+            command="identify",
+        )
     clock, suggestion = find_time(evidence, suggestion, others)
     position, suggestion = find_motion(evidence, suggestion, clock)
     suggestion = find_driven(evidence, suggestion, position)

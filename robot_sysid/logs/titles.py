@@ -62,8 +62,10 @@ _COMPUTED = token_set(
 _NEUTRAL = token_set(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
     "jointstates header meas measured measurement act actual fb feedback msr present current "
-    "sensor data values value currents as"
+    "sensor data values value currents as observation observations obs"
 )
+# Tokens of positions where none says the quantity: what LeRobot calls the state it observed.
+_STATE = token_set("observation state")
 # Tokens of a motor's current; "current" may mean "present" as well.
 _CURRENT = token_set("current currents")
 # Tokens of the time from row to row.
@@ -130,7 +132,7 @@ _TRANSLATED = _any_word({*_TRANSLATIONS, *_GERMAN})
 # Tokens of what is no position, velocity, torque or current itself, whatever stands beside.
 _OTHER = token_set(
     "error errors err std stddev stdev variance cov residual residuals diff difference noise "
-    "temperature temperatures temp voltage voltages status"
+    "temperature temperatures temp voltage voltages status enable enabled"
 )
 
 DEGREE = math.pi / 180
@@ -286,6 +288,8 @@ class Title:
             return "command" if is_marked and is_position else None
         if has_current and not named:
             return "current"
+        if tokens >= _STATE and not named:
+            return "position"
         return min(named) if len(named) == 1 else None
 
     @property

@@ -141,3 +141,66 @@ def test_the_printed_command_gives_the_result_of_plain_titles(
     for expected, found in zip(*quantities):
         assert (found["name"], found["of"]) == (expected["name"], expected["of"])
         assert found["value"] == pytest.approx(expected["value"], rel=1e-4, abs=1e-8)
+
+
+SERVOS = small_arms.robot_of(
+    small_arms.serial_arm(small_arms.SEVEN_AXES[:3], joint='range="-2.5 2.5"')
+    .replace("joint0", "shoulder_pan")
+    .replace("joint1", "elbow_flex")
+    .replace("joint2", "wrist_roll")
+)
+POSITIONS = (
+    "{}.pos",
+    "{}_position",
+    "observation.{}.pos",
+    "observation.state.{}",
+    "observation.state.{}.pos",
+    "observation.state/{}.pos",
+    "Present_Position.{}",
+    "{} Winkel",
+    "q{}",
+    "observation.state[{}]",
+)
+COMMANDS = (
+    "action.{}.pos",
+    "action.{}",
+    "action/main_{}.pos",
+    "{}_goal",
+    "{}.Goal_Position",
+    "{}_target_position",
+    "{} [deg] cmd",
+    "{} Sollwert",
+    "q_des{}",
+    "action[{}]",
+)
+NUMBERED = ("q{}", "observation.state[{}]", "q_des{}", "action[{}]")
+
+
+@pytest.mark.parametrize("goal", COMMANDS)
+@pytest.mark.parametrize("place", POSITIONS)
+def test_what_is_printed_for_a_log_of_servos_reads_it(tmp_path, place, goal):
+    """Whatever its titles are, and with a gripper's columns and their states beside, in degrees."""
+    time = np.arange(600) / 30.0
+    command = 40.0 * np.sin(np.outer(time, [0.7, 1.1, 1.6]))
+    q = np.vstack((command[:1].repeat(2, axis=0), command[:-2]))
+    titles = ["timestamp"]
+    for form in (place, goal):
+        names = range(3) if form in NUMBERED else SERVOS.joint_names
+        titles += map(form.format, names)
+    titles += [
+        "gripper_open",
+        *(f"{name}_torque_enable" for name in SERVOS.joint_names),
+    ]
+    rows = np.column_stack((time, q, command, q[:, 0], np.ones((len(q), 3))))
+    path = tmp_path / "log.csv"
+    np.savetxt(path, rows, "%.6f", ",", header=",".join(titles), comments="")
+    with pytest.raises(InputError) as caught:
+        open_log(SERVOS, path)
+    assert caught.value.command == "identify"
+    (words,) = caught.value.options
+    stated = dict(zip(words[::2], words[1::2]))
+    assert stated.pop("--torque-from") == "position-error"
+    given = {key.strip("-"): value for key, value in stated.items()}
+    log = open_log(SERVOS, path, LogOptions(commanded=True, **given))
+    np.testing.assert_allclose(log.q, np.radians(q), atol=1e-7)
+    np.testing.assert_allclose(log.command, np.radians(command), atol=1e-7)
