@@ -141,44 +141,50 @@ class Card:
     Attributes:
         gain: torque over position error [N m/rad].
         limit: largest torque of the motor at rest [N m].
-        damping: viscous friction, and what back-EMF takes off the torque [N m s/rad].
+        back_emf: torque that the motor loses with speed [N m s/rad]: limit over no-load speed.
+        damping: viscous friction [N m s/rad].
         coulomb: dry friction of a joint that moves without load [N m].
         armature: inertia of the rotor at the joint [kg m^2].
+        load_share: dry friction over the torque in the gears, of a joint that moves.
         stribeck: dry friction at rest beyond Coulomb's [N m].
-        stribeck_speed: speed at which 1/e of that is left [rad/s].
-        stribeck_curve: exponent of the speed in its fall.
-        load_share: dry friction over the torque in the gears.
+        load_stribeck: share of the load at rest beyond that of motion.
+        stribeck_speed: speed at which 1/e of both is left [rad/s].
+        stribeck_curve: exponent of the speed in their fall.
         delay: of the commands [s].
     """
 
     gain: float
     limit: float = math.inf
+    back_emf: float = 0.0
     damping: float = 0.0
     coulomb: float = 0.0
     armature: float = 0.0
+    load_share: float = 0.0
     stribeck: float = 0.0
+    load_stribeck: float = 0.0
     stribeck_speed: float = 1.0
     stribeck_curve: float = 1.0
-    load_share: float = 0.0
     delay: float = 0.0
 
     def dry_friction(self, speed, in_gears) -> float:
         """Return the dry friction [N m] at a speed [rad/s], with a torque [N m] in the gears.
 
-        F = coulomb + stribeck exp(-(|speed| / stribeck_speed)^stribeck_curve)
-            + load_share |in_gears|
+        F = coulomb + load_share |in_gears| + (stribeck + load_stribeck |in_gears|)
+            * exp(-(|speed| / stribeck_speed)^stribeck_curve)
         """
+        load = abs(in_gears)
         ratio = abs(speed) / self.stribeck_speed
-        at_rest = self.stribeck * math.exp(-(ratio**self.stribeck_curve))
-        return self.coulomb + at_rest + self.load_share * abs(in_gears)
+        at_rest = math.exp(-(ratio**self.stribeck_curve))
+        more = at_rest * (self.stribeck + self.load_stribeck * load)
+        return self.coulomb + self.load_share * load + more
 
 
 def card_plays(card, recording, *, times=1.0):
     """Return times and positions (N,) of a card's numbers from the recording's start, at rest.
 
-    The motor gives the position error times the gain, within its limit; gears carry motor less
-    gravity. Dry friction is implicit: it stops the joint within a step where it can, and acts
-    against the motion where it cannot.
+    The motor gives the position error times the gain, within its limit, less back-EMF; gears carry
+    motor less gravity. Dry friction is implicit: it stops the joint within a step where it can, and
+    acts against the motion where it cannot.
 
     Args:
         card: numbers of the servo.
@@ -195,6 +201,7 @@ def card_plays(card, recording, *, times=1.0):
         positions[sample] = q
         gravity = recording.pendulum.torque(q)
         motor = min(max(gain * (goal - q), -card.limit), card.limit)
+        motor -= card.back_emf * speed
         moving = motor + gravity - card.damping * speed
         stopping = inertia / STEP * speed + moving
         dry = card.dry_friction(speed, motor - gravity)

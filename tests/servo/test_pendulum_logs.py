@@ -84,10 +84,11 @@ def test_a_limit_leaves_a_constant_acceleration():
     assert q == pytest.approx(expected, rel=1e-2, abs=1e-3)
 
 
-def test_damping_at_the_limit_leaves_a_speed():
-    card = Card(gain=50.0, limit=0.2, damping=0.05)
+@pytest.mark.parametrize("losses", [{"damping": 0.05}, {"back_emf": 0.05}])
+def test_losses_at_the_limit_leave_a_speed(losses):
+    card = Card(gain=50.0, limit=0.2, **losses)
     _, q = card_plays(card, commands(1000.0, start=0.0))
-    assert (q[-1] - q[-2]) / STEP == pytest.approx(card.limit / card.damping, rel=1e-6)
+    assert (q[-1] - q[-2]) / STEP == pytest.approx(0.2 / 0.05, rel=1e-6)
 
 
 def test_friction_that_grows_with_load_makes_lifting_harder_than_lowering():
@@ -110,11 +111,20 @@ def test_friction_that_grows_with_load_makes_lifting_harder_than_lowering():
 
 
 def test_friction_falls_from_rest_to_motion():
-    card = Card(1.0, coulomb=0.1, stribeck=0.2, stribeck_speed=0.5, stribeck_curve=2.0)
-    assert card.dry_friction(0.0, 3.0) == pytest.approx(0.3)
-    assert card.dry_friction(-0.5, 3.0) == pytest.approx(0.1 + 0.2 / np.e)
-    assert card.dry_friction(1.0, 3.0) == pytest.approx(0.1 + 0.2 / np.e**4)
-    assert card.dry_friction(10.0, 3.0) == pytest.approx(0.1)
+    card = Card(
+        gain=1.0,
+        coulomb=0.1,
+        load_share=0.01,
+        stribeck=0.2,
+        load_stribeck=0.02,
+        stribeck_speed=0.5,
+        stribeck_curve=2.0,
+    )
+    moves, rests = 0.1 + 0.01 * 3.0, 0.2 + 0.02 * 3.0
+    assert card.dry_friction(0.0, -3.0) == pytest.approx(moves + rests)
+    assert card.dry_friction(-0.5, 3.0) == pytest.approx(moves + rests / np.e)
+    assert card.dry_friction(1.0, 3.0) == pytest.approx(moves + rests / np.e**4)
+    assert card.dry_friction(10.0, 3.0) == pytest.approx(moves)
 
 
 def test_a_delay_moves_the_answer():
@@ -161,6 +171,44 @@ def test_it_plays_what_mujoco_plays(coulomb, steps):
         assert ours == pytest.approx(theirs, abs=off)
     assert np.ptp(ours) > 1.0
     assert model.actuator_gainprm[0, 0] == card.gain
+
+
+def test_it_plays_what_bam_plays():
+    """Its model M4 with the numbers that it ships for an XL330, in steps of this simulation."""
+    model = pytest.importorskip("bam.model").load_model(motor_name="xl330", model="m4")
+    simulator = pytest.importorskip("bam.simulate").Simulator(model)
+    volts, kp = 7.4, 400.0
+    motor = model.actuator
+    motor.max_current = None
+    model.q_offset.value = 0.0
+    per_volt = model.kt.value / model.R.value
+    card = Card(
+        gain=kp * motor.error_gain * volts * per_volt,
+        limit=motor.max_pwm * volts * per_volt,
+        back_emf=model.kt.value * per_volt,
+        damping=model.friction_viscous.value,
+        coulomb=model.friction_base.value,
+        armature=model.armature.value - ARM.own_inertia,
+        load_share=model.load_friction_base.value,
+        stribeck=model.friction_stribeck.value,
+        load_stribeck=model.load_friction_stribeck.value,
+        stribeck_speed=model.dtheta_stribeck.value,
+        stribeck_curve=model.alpha.value,
+    )
+    recording = commands(
+        lambda time: 2.0 * np.sin(3.0 * time) * time, seconds=2.0, pendulum=ARM
+    )
+    clock, ours = card_plays(card, recording)
+    goals = np.interp(clock, recording.time, recording.command).tolist()
+    entries = [
+        {"position": 0.0, "goal_position": goal, "torque_enable": True}
+        for goal in goals
+    ]
+    log = {"mass": ARM.mass, "arm_mass": 0.0, "length": ARM.length, "kp": kp}
+    log.update(vin=volts, dt=STEP, entries=entries)
+    theirs, _, _ = simulator.rollout_log(log, simulate_control=True)
+    assert ours == pytest.approx(np.array(theirs), abs=np.max(np.abs(np.diff(ours))))
+    assert np.max(np.abs(np.array(goals) - ours)) > card.limit / card.gain
 
 
 def recording_text(held):
