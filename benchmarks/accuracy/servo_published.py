@@ -162,8 +162,8 @@ def write_log(path, published, robot) -> None:
     np.savetxt(path, rows, "%.9g", ",", header=",".join(titles), comments="")
 
 
-def found_of(published, file_numbers) -> tuple[dict, float]:
-    """Return what the command finds, by joint and number, and its processor time [s]."""
+def found_of(published, file_numbers) -> tuple[dict, float, bool]:
+    """Return what is found, by joint and number, processor time [s], whether a file was written."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         model = folder / "so101.xml"
@@ -179,20 +179,21 @@ def found_of(published, file_numbers) -> tuple[dict, float]:
         )
         seconds = servo_sysid.children_seconds() - before
         result = folder / "out" / "servo.json"
+        is_written = any((folder / "out").glob("*.xml"))
         if not result.exists():
-            return {}, seconds
+            return {}, seconds, is_written
         rows = json.loads(result.read_text(encoding="utf-8"))["quantities"]
-        return {(row["of"], row["name"]): row for row in rows}, seconds
+        return {(row["of"], row["name"]): row for row in rows}, seconds, is_written
 
 
 def lines_of(published, file_numbers):
     """Yield the section of a set: its source, and a row for each joint."""
-    found, seconds = found_of(published, file_numbers)
+    found, seconds, is_written = found_of(published, file_numbers)
     yield f"### {published.name}"
     yield ""
     yield (
         f"[Source]({published.source}): {published.origin}. Found in {seconds:.0f} s from a file "
-        f"with the numbers of *{file_numbers.name}*."
+        f"with the numbers of *{file_numbers.name}*{'.' if is_written else ', as not usable.'}"
     )
     yield ""
     heads = [f"{number}, {unit} | found" for number, unit in UNITS.items()]
