@@ -189,11 +189,12 @@ def found_of(published, file_numbers) -> tuple[dict, float, bool]:
 def lines_of(published, file_numbers):
     """Yield the section of a set: its source, and a row for each joint."""
     found, seconds, is_written = found_of(published, file_numbers)
+    verdict = "" if is_written else ", and called not usable"
     yield f"### {published.name}"
     yield ""
     yield (
         f"[Source]({published.source}): {published.origin}. Found in {seconds:.0f} s from a file "
-        f"with the numbers of *{file_numbers.name}*{'.' if is_written else ', as not usable.'}"
+        f"with the numbers of *{file_numbers.name}*{verdict}."
     )
     yield ""
     heads = [f"{number}, {unit} | found" for number, unit in UNITS.items()]
