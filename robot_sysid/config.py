@@ -17,7 +17,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions, LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
+from robot_sysid.motion import SERVOS, AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.records import file_access, option_fields
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS
 from robot_sysid.records.option_fields import (
@@ -239,6 +239,8 @@ class MotionConfig(Config):
             )
             if self.trajectory.save is None:
                 yield "--output-dir", path
+        if path is not None and self.aim.purpose == SERVOS:
+            yield option_name("for_", SERVOS), path.with_name(file_access.GOALS_NAME)
         if self.motors.export_damiao:
             folder = self.output.output_dir
             yield "--output-dir", folder / file_access.DAMIAO_NAME

@@ -44,6 +44,16 @@ SLOT_MIDDLE = (0.1, 0.9)
 """Part of its slot of the band in which each frequency lies, so that no two are nearly the same."""
 LEAST_WEIGHT = 0.4
 """Least amplitude of a random sinusoid, over the largest that there may be."""
+GOING_TIME = 1.0
+"""Length of path between two stops of a motion that stops on its way [s of the path]."""
+STANDING_TIME = 0.5
+"""Time that it stands at a stop [s]: a servo comes to rest within it, and its sag shows."""
+STOPPING_TIME = 0.25
+"""Shortest time in which it stops, and starts again [s]. Shorter ones show no more at 30 Hz."""
+SLOW_SHARE = 0.15
+"""Share of the path, at its end, that is slow: friction and play show at turns without inertia."""
+SLOW_RATE = 0.2
+"""Speed of the slow part, over that of the path."""
 CHUNK = 2048
 """Samples of a motion that are evaluated at a time."""
 
@@ -140,6 +150,56 @@ def smooth_step(x: Array) -> Series:
     w = x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))
     bell = x * (1.0 - x)
     return w, 140.0 * bell**3, 420.0 * bell**2 * (1.0 - 2.0 * x)
+
+
+@dataclass(frozen=True)
+class StoppingTrajectory:
+    """The path of a trajectory with another timing: moves between stops, and a slow last part.
+
+    It is p(s(t)) with the rate s'(t) between 0 and 1, so that it passes the very positions of the
+    path p, never faster. The jerky starts and stops tell delay, damping and inertia of a servo
+    apart, standing shows its sag, and slow turns its friction and play.
+
+    Attributes:
+        path: the trajectory p.
+        stopping_time: time in which the rate changes [s].
+    """
+
+    path: SineTrajectory
+    stopping_time: float = STOPPING_TIME
+
+    @cached_property
+    def _rate_steps(self) -> tuple[Array, Array]:
+        """Times (M,) at which the rate begins to change [s], and by how much (M,)."""
+        n_moves = max(1, round((1.0 - SLOW_SHARE) * self.path.duration / GOING_TIME))
+        going = (1.0 - SLOW_SHARE) * self.path.duration / n_moves
+        starts = np.arange(n_moves) * (going + STANDING_TIME)
+        slow_start = n_moves * (going + STANDING_TIME)
+        end = slow_start + SLOW_SHARE * self.path.duration / SLOW_RATE
+        time = np.concatenate((starts, starts + going, [slow_start, end]))
+        is_start = np.repeat([1.0, -1.0], n_moves)
+        return time, np.concatenate((is_start, [SLOW_RATE, -SLOW_RATE]))
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return float(self._rate_steps[0][-1]) + self.stopping_time
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return position, velocity and acceleration at times (N,) [s], by the chain rule."""
+        time = np.asarray(time, dtype=float)
+        begins, changes = self._rate_steps
+        x = (time[:, None] - begins) / self.stopping_time
+        inside = np.clip(x, 0.0, 1.0)
+        w, dw, _ = smooth_step(inside)
+        # The integral of the step, which goes on as a straight line behind it.
+        integral = inside**5 * (7.0 + inside * (-14.0 + inside * (10.0 - 2.5 * inside)))
+        s = self.stopping_time * (integral + np.maximum(x - 1.0, 0.0)) @ changes
+        rate = (w @ changes)[:, None]
+        rate_slope = (dw @ changes)[:, None] / self.stopping_time
+        along = self.path.evaluate(np.clip(s, 0.0, self.path.duration))
+        qdd = along.qdd * rate**2 + along.qd * rate_slope
+        return Motion(time, along.q, along.qd * rate, qdd)
 
 
 def sample_times(

@@ -51,6 +51,7 @@ def refusal(config, **values):
 REFUSED = {
     "a.xml --noise-torque 0.1": "--noise-torque belongs to a simulated plant",
     "a.xml --duration 0": "--duration must be positive",
+    "plan a.xml --for servos --goal-rate 0": "--goal-rate must be positive",
     "identify a.xml b.csv --torque-scale 1e308": "--torque-scale must be positive, from 1e-09 to",
     "identify a.xml b.csv --torque-scale 1,1e-308": "--torque-scale must be positive, from",
     "identify a.xml b.csv --torque-constants 1e308": "--torque-constants must be positive, f",

@@ -33,6 +33,7 @@ from robot_sysid.commands import motors
 from robot_sysid.logs.ros_messages import STATE
 from robot_sysid.logs.suggestion import FILLINGS
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.motion.goals import load_goals
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.next_steps import STEPS
 from robot_sysid.records import Motion, Recording
@@ -286,6 +287,28 @@ def servos_with_a_gripper() -> None:
     np.savetxt("log.csv", rows, "%.9g", ",", header=header, comments="")
 
 
+class ServoArm:
+    """An arm of servos, which plays the goals beside the log that it writes."""
+
+    tool_mass = 0.0
+    first_plan = None
+
+    def __init__(self) -> None:
+        self.robot = load_robot_model(written_arm(servo_logs.XML))
+
+    def record(self, path: Path, *_: object) -> None:
+        goals = load_goals(path.with_name("goals.csv"))
+        time = np.arange(round(servo_logs.RATE * goals.time[-1])) / servo_logs.RATE
+        command = [np.interp(time, goals.time, column) for column in goals.q.T]
+        commands = np.transpose(command)
+        positions = servo_logs.positions(self.robot, time, commands)
+        servo_logs.write(path, time, positions, commands)
+
+
+def arm_with_servos() -> ServoArm:
+    return ServoArm()
+
+
 def two_arms() -> None:
     written_arm(small_arms.TWO_ARMS)
 
@@ -376,6 +399,11 @@ SITUATIONS = {
     ),
     "planned": Situation(
         ("step: motion planned",), "plan arm.xml --output-dir planned", true_arm()
+    ),
+    "planned for servos": Situation(
+        ("step: motion planned for servos",),
+        "plan arm.xml --for servos --output-dir planned",
+        arm_with_servos,
     ),
     "planned for a payload": Situation(
         ("step: motion planned for payload",),

@@ -6,12 +6,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.arms import small_arms
 from rigs.arms.small_arms import SEEDS, robot_of
 from robot_sysid.records import Limits
 from robot_sysid.trajectory import (
+    SLOW_RATE,
+    SLOW_SHARE,
+    STANDING_TIME,
+    StoppingTrajectory,
     generate_excitation_trajectory,
     sample_count,
     sample_times,
@@ -91,3 +95,43 @@ def test_sample_times_do_not_depend_on_the_chunk(duration, rate, chunk):
     assert times[0] == 0.0
     assert duration - 1.0 / rate < times[-1] <= duration
     assert np.all(np.diff(times) > 0.0)
+
+
+@given(SEEDS, st.floats(2.0, 40.0), st.floats(0.05, 5.0))
+def test_stops_change_the_timing_of_a_path_and_nothing_else(
+    seed, duration, stopping_time
+):
+    """Its positions are those of the path at instants that it passes from begin to end, never
+    faster than the path."""
+    path = excitation(THREE, seed, duration)
+    plan = StoppingTrajectory(path, stopping_time)
+    ends = plan.evaluate(np.array([0.0, plan.duration]))
+    assert_allclose(ends.q, path.evaluate(np.array([0.0, duration])).q, atol=1e-9)
+    assert_allclose((ends.qd, ends.qdd), 0.0, atol=1e-7)
+
+    time = np.linspace(0.01, plan.duration - 0.01, 200)
+    ahead, behind, middle = (plan.evaluate(time + step) for step in (1e-5, -1e-5, 0.0))
+    assert_allclose((ahead.q - behind.q) / 2e-5, middle.qd, atol=1e-5)
+    error = 1e-4 * (1.0 + np.max(np.abs(middle.qdd)) / stopping_time**2)
+    assert_allclose((ahead.qd - behind.qd) / 2e-5, middle.qdd, atol=error)
+    assert np.all(np.max(np.abs(middle.qd), axis=0) <= 1.01 * fastest(path))
+
+
+def fastest(path):
+    """Return the highest speed of each joint (n,)."""
+    return np.max(np.abs(dense(path).qd), axis=0)
+
+
+def test_a_motion_stands_between_moves_and_ends_slowly():
+    path = excitation(THREE, 1, 20.0)
+    plan = StoppingTrajectory(path)
+    motion = dense(plan, 8001)
+    stands = np.all(np.abs(motion.qd) < 1e-9, axis=1)
+    step = motion.time[1]
+    # 17 moves of a second; the stop takes a part of the time in which it stands. Each begin and end
+    # is known to a sample or two.
+    standing = 17 * (STANDING_TIME - plan.stopping_time)
+    assert abs(step * np.sum(stands) - standing) < 2 * 17 * 2 * step
+    is_late = motion.time > plan.duration - 0.9 * SLOW_SHARE * 20.0 / SLOW_RATE
+    share = np.max(np.abs(motion.qd[is_late])) / np.max(fastest(path))
+    assert share <= SLOW_RATE

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 EXCITATIONS = ("sines", "optimal")
 WEIGHT = "weight"
 """Purpose of the slow first motion of an arm that may be heavier than its model says."""
+SERVOS = "servos"
+"""Purpose of the motion of an arm with position servos and without torque sensors."""
 
 
 @dataclass(frozen=True)
@@ -269,20 +271,26 @@ class AimOptions(OptionRecord):
     """What a plan is for.
 
     Attributes:
-        purpose: "arm", "link", "payload" or "weight".
+        purpose: "arm", "link", "payload", "weight" or "servos".
+        goal_rate: rows per second of the table of goal positions [Hz].
     """
 
     purpose: str = option(
         "arm",
         "what the motion is for: the written file of the whole arm, links, friction and rotors; "
         "the ten numbers of the terminal link alone, whatever it carries; a payload, weighed by "
-        "difference; or the weight of an arm whose model may be far off: slowly, with half of "
-        "the torque",
+        "difference; the weight of an arm whose model may be far off: slowly, with half of "
+        "the torque; or servos that take goal positions and measure no torque: with stops on the "
+        "way and a slow end, also as goals.csv",
         flag="--for",
-        choices=("arm", "link", "payload", WEIGHT),
+        choices=("arm", "link", "payload", WEIGHT, SERVOS),
+    )
+    goal_rate: float = option(
+        30.0, "rows per second of the goals.csv of a motion for servos", "RATE [Hz] > 0"
     )
 
     @property
     def target(self) -> str:
         """What an estimate is to identify: "link", "arm" or "payload"."""
-        return self.purpose if self.purpose in ("arm", "payload") else "link"
+        targets = {"payload": "payload", "link": "link", WEIGHT: "link"}
+        return targets.get(self.purpose, "arm")

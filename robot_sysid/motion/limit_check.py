@@ -20,7 +20,12 @@ import numpy as np
 from robot_sysid.motion.clearance import Clearance, Closest
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.records import LimitUse, MotionPlan
-from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
+from robot_sysid.trajectory import (
+    SineTrajectory,
+    StoppingTrajectory,
+    motion_chunks,
+    sample_times,
+)
 
 LEAST_RATE_HZ = 1000.0
 """Lowest rate at which a motion is checked [Hz]."""
@@ -38,6 +43,11 @@ CONTACT_RATE_HZ = 4000.0
 0.5 mm between two of them."""
 SHRINKAGE = 0.95
 """Factor by which a motion that breaks a limit is scaled down again and again."""
+SOFTENING = 1.5
+"""Factor by which stops that break a limit take longer, again and again."""
+LONGEST_STOPPING = 10.0
+"""Longest time in which a motion stops [s]: its acceleration is that of the path, or its limits are
+broken by the path itself."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +105,24 @@ def scale_to_limits(
         factor *= SHRINKAGE
         scaled = plan.scale_amplitudes(factor)
     return scaled, factor
+
+
+def with_stops(problem: ExcitationProblem, path: SineTrajectory) -> StoppingTrajectory:
+    """Return a path with stops on its way, the shortest ones tried that keep all limits.
+
+    Its positions are those of the path, and keep all clearances where the path does.
+
+    Args:
+        problem: the arm and its limits.
+        path: the motion without stops.
+    """
+    stopping = StoppingTrajectory(path)
+    while stopping.stopping_time < LONGEST_STOPPING:
+        if all(use.is_kept for use in _uses(problem, stopping, LEAST_RATE_HZ)):
+            break
+        softer = SOFTENING * stopping.stopping_time
+        stopping = replace(stopping, stopping_time=softer)
+    return stopping
 
 
 def keeps_limits(

@@ -32,15 +32,17 @@ class LineTrajectory:
 
     Attributes:
         begin, end: (n,) joint positions [rad or m].
+        speed: highest mean speed of a joint [rad/s or m/s].
     """
 
     begin: Array
     end: Array
+    speed: float = 1.0
 
     @property
     def duration(self) -> float:
-        """Length [s]: 1 s, or more where a joint's mean speed would exceed 1 rad/s (1 m/s)."""
-        return max(1.0, np.max(np.abs(self.end - self.begin)))
+        """Length [s]: 1 s, or more where a joint's mean speed would be higher than ``speed``."""
+        return max(1.0, float(np.max(np.abs(self.end - self.begin))) / self.speed)
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration of all joints at times (N,) [s]; velocities

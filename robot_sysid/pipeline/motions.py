@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid import trajectory
 from robot_sysid.config import MotionConfig, PlanConfig
 from robot_sysid.errors import InputError
-from robot_sysid.motion import WEIGHT
+from robot_sysid.motion import SERVOS, WEIGHT
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.pipeline.motors import arm_motors
 from robot_sysid.records import MotionPlan, RobotModel
@@ -40,6 +40,13 @@ class CheckedPlan:
     plan: MotionPlan
     problem: ExcitationProblem | None = None
     check: LimitCheck | None = None
+
+    @property
+    def path(self) -> MotionPlan:
+        """The trajectory without the stops on its way."""
+        if isinstance(self.plan, trajectory.StoppingTrajectory):
+            return self.plan.path
+        return self.plan
 
     @property
     def failure(self) -> str | None:
@@ -83,9 +90,13 @@ def design_motion(
     plan = at_speed(plan, options.speed)
     if problem is None:
         return CheckedPlan(plan)
-    from robot_sysid.motion.limit_check import check_limits
+    from robot_sysid.motion.limit_check import check_limits, with_stops
 
     progress.note(*problem.notes)
+    if config.aim.purpose == SERVOS:
+        stopping = with_stops(problem, plan)
+        check = check_limits(problem, stopping, config.aim.goal_rate)
+        return CheckedPlan(stopping, problem, check)
     # The lines on a plan have these, and its verdict says what to do.
     if not isinstance(config, PlanConfig):
         progress.note(*problem.missing_limits)
@@ -189,7 +200,8 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
     half of the torque limits and low speeds. None where the motion does not have to keep any.
 
     For a new motion (not from a file) the top frequency of the band limits the accelerations too,
-    and the start is a pose that touches nothing and that the motors can hold.
+    but where a motion for servos stops on its way. The start is a pose that touches nothing and
+    that the motors can hold.
 
     Raises:
         InputError: the arm breaks a limit at rest, or no pose can be a start.
@@ -207,7 +219,7 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
         config.limits,
         torques=estimation.torques,
         noise_torque=estimation.priors.noise or DEFAULT_NOISE_TORQUE,
-        shakes_gently=is_new,
+        shakes_gently=is_new and config.aim.purpose != SERVOS,
         link_uncertainty=estimation.priors.link,
         motors=motors.limits if motors else None,
     )

@@ -56,6 +56,11 @@ STEPS: Mapping[str, Step] = {
         "{folder}/empty_again.csv, and weigh the difference",
         _WEIGHED,
     ),
+    "motion planned for servos": Step(
+        "Next, play {folder}/goals.csv on the servos, record goals and positions as {log} (with "
+        "LeRobot: docs/rollout.md), and identify the servos",
+        "identify {model} {log} --torque-from position-error {options} --output-dir {folder}",
+    ),
     "load not seen": Step(
         "Next, plan a longer motion, which is expected to show it to {share}",
         "plan {model} {options} {plan_options}",

@@ -13,7 +13,7 @@ from robot_sysid.config import MotionConfig, PlanConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.export import Written
-from robot_sysid.motion import WEIGHT
+from robot_sysid.motion import SERVOS, WEIGHT
 from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.motors import ArmMotors, arm_motors
 from robot_sysid.pipeline.next_steps import step_after, step_with_motion
@@ -21,6 +21,7 @@ from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import (
     DAMIAO_NAME,
     DAMIAO_WEIGHT_NAME,
+    GOALS_NAME,
     AtomicFiles,
     atomic_files,
     file_sha256,
@@ -58,8 +59,8 @@ def predict_plan(
 ) -> tuple[Prediction | None, list[str]]:
     """Return the errors to expect of an identification from a checked motion, and printed lines.
 
-    There is no prediction where the motion cannot be processed like a log. The lines state limits
-    and expected errors.
+    There is no prediction where the motion cannot be processed like a log, or no torques will be
+    measured. The lines state limits and expected errors.
     """
     from robot_sysid.expected.recording import predict
     from robot_sysid.motion.plan_lines import limit_lines, motion_lines
@@ -71,10 +72,12 @@ def predict_plan(
     prediction = None
     lines = [*limit_lines(problem, plan, check)]
     rate = config.trajectory.sample_rate
+    has_torques = config.aim.purpose != SERVOS
     try:
-        target = config.aim.target
-        prediction = predict(problem, plan, rate, config.estimation, target)
-        lines += error_lines(prediction)
+        if has_torques:
+            target = config.aim.target
+            prediction = predict(problem, plan, rate, config.estimation, target)
+            lines += error_lines(prediction)
     except InputError as error:
         lines.append(f"What errors it will leave cannot be predicted: {error}")
     lines += motion_lines(problem, plan, check)
@@ -105,7 +108,8 @@ def write_plan(
         verdict = [f"Not usable: {failure}"]
     else:
         with atomic_files() as files:
-            paths = draft_plan(config, robot, checked.plan, files)
+            paths = draft_plan(config, robot, checked.path, files)
+            paths += draft_goals(config, robot, checked.plan, files)
             motor_paths, clamping = draft_motor_file(
                 config, robot, checked.plan, files, config.output.output_dir
             )
@@ -211,6 +215,8 @@ def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
         return step_after("motion planned for motors", values, *limits, **words)
     folder = config.plan_file.parent
     log = folder / "log.csv"
+    if config.aim.purpose == SERVOS:
+        return step_after("motion planned for servos", values, folder=folder, log=log)
     return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
 
 
@@ -247,7 +253,7 @@ def purpose_shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
         prediction: errors to expect of an identification from it; None where they cannot be
             predicted.
     """
-    if config.aim.purpose == WEIGHT:
+    if config.aim.purpose in (WEIGHT, SERVOS):
         return ""
     if prediction is None:
         return "the errors that it will leave cannot be predicted"
@@ -304,6 +310,25 @@ def draft_plan(
     with files.open(samples_path) as file:
         save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
     return path, samples_path
+
+
+def draft_goals(
+    config: MotionConfig, robot: RobotModel, plan: MotionPlan, files: AtomicFiles
+) -> tuple[Path, ...]:
+    """Draft the goal positions of servos beside the trajectory, if the motion is for servos.
+
+    Returns:
+        The path that they will have; empty where the motion is for something else.
+    """
+    trajectory_path = config.plan_file
+    if trajectory_path is None or config.aim.purpose != SERVOS:
+        return ()
+    from robot_sysid.motion.goals import save_goals
+
+    path = trajectory_path.with_name(GOALS_NAME)
+    with files.open(path) as file:
+        save_goals(file, plan, robot, config.aim.goal_rate)
+    return (path,)
 
 
 def draft_motor_file(

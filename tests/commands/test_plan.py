@@ -7,13 +7,15 @@ import sys
 from functools import partial
 from itertools import count
 
+import numpy as np
 import pytest
 
 from rigs.arms import small_arms, witness
 from rigs.files.command_line import COMMANDS, OUT, files_in
 from robot_sysid.config import PlanConfig
+from robot_sysid.motion.goals import load_goals
 from robot_sysid.motion.trajectories import load_trajectory
-from robot_sysid.trajectory import SineTrajectory
+from robot_sysid.trajectory import SineTrajectory, StoppingTrajectory
 
 EXPECTED = (
     r"After this motion the written file is expected to be \S+ % \(an arm with little friction\) "
@@ -147,6 +149,23 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
         load_trajectory(path.parent / "plan.json").plan,
     ).torque
     assert 0.0 < torque[1] <= 0.5
+
+
+def test_a_motion_for_servos_is_a_table_of_goals_too(command, arm_file):
+    """It promises no errors, which are those of measured torques, and leads to servos."""
+    path = arm_file(small_arms.THREE)
+    printed = command.run("plan", path, *SINES, "--for servos --goal-rate 50")
+    assert f"Trajectory saved to {OUT / 'goals.csv'}" in printed.out
+    assert "expected to be" not in printed.out and "Recorded once" not in printed.out
+    identify = f"  robot-sysid identify {path} {OUT / 'log.csv'} --torque-from"
+    assert identify in printed.out
+    goals = load_goals(OUT / "goals.csv")
+    assert goals.joint_names == ("joint0", "joint1", "joint2")
+    assert np.median(np.diff(goals.time)) == pytest.approx(0.02, abs=1e-6)
+    stopping = StoppingTrajectory(load_trajectory(OUT / "trajectory.json").plan)
+    np.testing.assert_allclose(
+        goals.q, stopping.evaluate(goals.time).q, rtol=0.0, atol=1e-5
+    )
 
 
 @pytest.mark.slow

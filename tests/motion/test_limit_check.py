@@ -14,10 +14,16 @@ from rigs.arms import small_arms
 from rigs.arms.excitation_arms import TUBES_AND_POST, make_problem
 from rigs.arms.small_arms import SEEDS
 from robot_sysid.motion.clearance import HORIZON, Closest
-from robot_sysid.motion.limit_check import check_limits, first_contact, keeps_limits
+from robot_sysid.motion.limit_check import (
+    LONGEST_STOPPING,
+    check_limits,
+    first_contact,
+    keeps_limits,
+    with_stops,
+)
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Motion
-from robot_sysid.trajectory import SineTrajectory
+from robot_sysid.trajectory import STOPPING_TIME, SineTrajectory
 
 
 def series(rest, coefficients, duration=0.4, fade=0.15):
@@ -144,3 +150,21 @@ def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
     plan = LineTrajectory(problem.rest, problem.rest + end * towards)
     check = check_limits(problem, plan)
     assert any("clearance" in excess.name for excess in check.excesses) != holds
+
+
+def test_stops_take_as_long_as_the_limits_ask():
+    """A path that keeps its limits keeps them with stops, which take longer where need be."""
+    plan = plan_of(THREE, 0, 0.05)
+    plan = replace(plan, duration=8.0, fade=2.0, frequency_hz=plan.frequency_hz / 20.0)
+    strong = replace(THREE, limits=replace(THREE.limits, acceleration=np.full(3, 1e3)))
+    assert with_stops(strong, plan).stopping_time == STOPPING_TIME
+
+    top = 1.2 * np.max(np.abs(plan.evaluate(np.linspace(0.0, 8.0, 4001)).qdd), axis=0)
+    weak = replace(THREE, limits=replace(THREE.limits, acceleration=top))
+    assert keeps_limits(weak, plan)
+    softer = with_stops(weak, plan)
+    assert STOPPING_TIME < softer.stopping_time < LONGEST_STOPPING
+    assert not check_limits(weak, softer).excesses
+
+    broken = replace(THREE, limits=replace(THREE.limits, acceleration=0.1 * top))
+    assert check_limits(broken, with_stops(broken, plan)).excesses
