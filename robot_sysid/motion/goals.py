@@ -173,10 +173,10 @@ class GoalPlayer:
 
     @property
     def call_rate(self) -> float:
-        """How often goals are asked for [Hz]: the median; NaN before the third call."""
-        if len(self._calls) < 3:
-            return float("nan")
-        return 1.0 / float(np.median(np.diff(self._calls)))
+        """How often goals were asked for, on average [Hz]; 0 before the second call."""
+        if len(self._calls) < 2:
+            return 0.0
+        return (len(self._calls) - 1) / (self._calls[-1] - self._calls[0])
 
     def pose(self) -> Array:
         """Return the goals (n,) of this instant [rad or m]."""
