@@ -244,9 +244,10 @@ class PlanResult:
         return self.motion(np.arange(sample_count(self.duration, rate)) / rate)
 
     def save(self, path: str | Path) -> tuple[Path, ...]:
-        """Write the trajectory (.json), its samples (.csv) and, of a plan for motors, beside them
-        the file that they play, ``damiao_trajectory.csv``, and what carries the arm in it,
-        ``damiao_trajectory_weight.csv``; return the paths in this order.
+        """Write the trajectory (.json), its samples (.csv) and beside them, of a plan for servos,
+        ``goals.csv``, and of one for motors the file that they play, ``damiao_trajectory.csv``,
+        and what carries the arm in it, ``damiao_trajectory_weight.csv``; return the paths in this
+        order.
 
         Raises:
             SysidError: the motion must not be played; says why.
@@ -259,7 +260,7 @@ class PlanResult:
         config = replace(self.config, trajectory=trajectory)
         plan = self.checked.plan
         with in_python(), one_thread(), atomic_files() as files:
-            paths = draft_plan(config, self.robot, plan, files)
+            paths = draft_plan(config, self.robot, self.checked, files)
             motors = draft_motor_file(config, self.robot, plan, files, path.parent)
             return paths + motors[0]
 

@@ -108,8 +108,7 @@ def write_plan(
         verdict = [f"Not usable: {failure}"]
     else:
         with atomic_files() as files:
-            paths = draft_plan(config, robot, checked.path, files)
-            paths += draft_goals(config, robot, checked.plan, files)
+            paths = draft_plan(config, robot, checked, files)
             motor_paths, clamping = draft_motor_file(
                 config, robot, checked.plan, files, config.output.output_dir
             )
@@ -286,49 +285,38 @@ def _weighing_shortfall(prediction: Prediction) -> str:
 
 
 def draft_plan(
-    config: MotionConfig, robot: RobotModel, plan: MotionPlan, files: AtomicFiles
+    config: MotionConfig, robot: RobotModel, checked: CheckedPlan, files: AtomicFiles
 ) -> tuple[Path, ...]:
-    """Draft a trajectory, and beside it a table of its samples, among files that appear together.
+    """Draft a trajectory, beside it a table of its samples and, of a motion for servos, one of
+    their goals, among files that appear together.
 
     Args:
-        config: names the trajectory's file, if there is one, and the rate of the samples.
+        config: names the trajectory's file, if there is one, and the rates of the tables.
         robot: the arm that the motion was planned for.
-        plan: the motion.
-        files: which receive both drafts.
+        checked: the motion; the trajectory is its path without stops.
+        files: which receive the drafts.
 
     Returns:
-        The paths that both will have; empty where the options name no file.
+        The paths that they will have; empty where the options name no file.
     """
     path = config.plan_file
     if path is None:
         return ()
+    from robot_sysid.motion.goals import save_goals
     from robot_sysid.motion.trajectories import save_samples, save_trajectory
 
     samples_path = path.with_suffix(".csv")
+    paths = [path, samples_path]
     with files.open(path) as file:
-        save_trajectory(file, plan, robot.joint_names, robot.sha256)
+        save_trajectory(file, checked.path, robot.joint_names, robot.sha256)
     with files.open(samples_path) as file:
-        save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
-    return path, samples_path
-
-
-def draft_goals(
-    config: MotionConfig, robot: RobotModel, plan: MotionPlan, files: AtomicFiles
-) -> tuple[Path, ...]:
-    """Draft the goal positions of servos beside the trajectory, if the motion is for servos.
-
-    Returns:
-        The path that they will have; empty where the motion is for something else.
-    """
-    trajectory_path = config.plan_file
-    if trajectory_path is None or config.aim.purpose != SERVOS:
-        return ()
-    from robot_sysid.motion.goals import save_goals
-
-    path = trajectory_path.with_name(GOALS_NAME)
-    with files.open(path) as file:
-        save_goals(file, plan, robot, config.aim.goal_rate)
-    return (path,)
+        rate = config.trajectory.sample_rate
+        save_samples(file, checked.path, robot.joint_names, rate)
+    if config.aim.purpose == SERVOS:
+        paths.append(path.with_name(GOALS_NAME))
+        with files.open(paths[-1]) as file:
+            save_goals(file, checked.plan, robot, config.aim.goal_rate)
+    return tuple(paths)
 
 
 def draft_motor_file(

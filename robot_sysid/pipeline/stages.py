@@ -159,7 +159,7 @@ def identify_simulated(
                 )
             raise InputError(f"{checked.failure}; relax that limit, {remedy}")
         with atomic_files() as files:
-            draft_plan(config, robot, checked.plan, files)
+            draft_plan(config, robot, checked, files)
     plan = checked.plan
     if config.arm.plant_model is None:
         result = run_self_test(config, robot, plan, progress)

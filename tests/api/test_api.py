@@ -20,6 +20,7 @@ from rigs.files.refusals import refused
 from rigs.logs import recorded
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError, SysidError
+from robot_sysid.motion.goals import load_goals
 from robot_sysid.records import Recording
 from robot_sysid.records.data import SIGNAL_NAMES
 from robot_sysid.report.runs import load_run
@@ -411,6 +412,18 @@ def test_a_plan_gives_arrays_to_play(tmp_path, model):
     assert pickle.loads(pickle.dumps(plan)).duration == 4.0
     loaded = rs.plan(model, trajectory=str(files[0]))
     assert_allclose(loaded.motion(motion.time).q, motion.q, atol=1e-9)
+
+
+def test_a_plan_for_servos_saves_the_goals_that_it_plays(tmp_path, model):
+    options = {"for_": "servos", "goal_rate": 100.0, "excitation": "sines", "seed": 1}
+    plan = rs.plan(model, duration=4.0, **options)
+    files = plan.save(tmp_path / "plan.json")
+    assert [path.name for path in files] == ["plan.json", "plan.csv", "goals.csv"]
+    goals = load_goals(files[-1])
+    assert goals.time[-1] == pytest.approx(plan.duration, abs=1e-6)
+    assert_allclose(goals.q, plan.motion(goals.time).q, atol=1e-6)
+    again = rs.plan(model, trajectory=str(files[0]), for_="servos")
+    assert_allclose(again.motion(goals.time).q, goals.q, atol=1e-6)
 
 
 def test_the_package_is_light_and_its_functions_survive_imports_of_their_folders():
