@@ -70,6 +70,7 @@ _NAMES = {
     "records.messages": ("Level", "Remark"),
     "records.option_fields": ("RoughFactors",),
     "records.quantities": ("BodyEstimate", "FrictionCurve", "Quantity"),
+    "records.servo_setting": ("ServoSetting",),
     "results.record": ("CurvedFile", "ModelFile", "Payload"),
     "results.verdicts": ("Verdict",),
 }

@@ -52,6 +52,7 @@ from robot_sysid.records.option_fields import RoughFactors as RoughFactors
 from robot_sysid.records.quantities import BodyEstimate as BodyEstimate
 from robot_sysid.records.quantities import FrictionCurve as FrictionCurve
 from robot_sysid.records.quantities import Quantity as Quantity
+from robot_sysid.records.servo_setting import ServoSetting as ServoSetting
 from robot_sysid.results.record import CurvedFile as CurvedFile
 from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload

@@ -23,7 +23,12 @@ from robot_sysid.records.controllers import ALL
 from robot_sysid.records.messages import Level, NextStep, Progress, says
 from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.records.quantities import CURVED
-from robot_sysid.results.cards import card_text, number_groups, simulator_card
+from robot_sysid.results.cards import (
+    LogResult,
+    card_text,
+    number_groups,
+    simulator_card,
+)
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
 from robot_sysid.results.record import Identification, ModelTarget
@@ -222,7 +227,7 @@ def write_simulator_cards(
     robot: RobotModel,
     files: file_access.AtomicFiles,
     written: Collection[Path],
-    result: Identification | None = None,
+    result: LogResult | None = None,
 ) -> list[Path]:
     """Write the cards that the options ask for, of the first written model; return their paths.
 
@@ -231,7 +236,7 @@ def write_simulator_cards(
         robot: the arm as in the original model.
         files: holds the draft of the model.
         written: paths of the written files; without a model there is no card.
-        result: of the logs; None of servos, whose logs have no torque.
+        result: of the logs; None where there is none.
     """
     models = file_access.models_in(written)
     if not isinstance(config, IdentifyConfig) or not config.cards.cards or not models:

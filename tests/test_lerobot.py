@@ -169,7 +169,7 @@ def test_files_and_speeds_that_cannot_be_played_are_refused(plugin, goals_file):
     with pytest.raises(InputError, match="factor above 0 and at most 1"):
         plugin.RobotSysid(plugin.RobotSysidConfig(goals_file, speed=2.0))
     goals_file.write_text("time,q\n0,1\n", encoding="utf-8")
-    with pytest.raises(InputError, match="goals.csv of robot-sysid plan"):
+    with pytest.raises(InputError, match="goals.csv, which robot-sysid plan"):
         plugin.RobotSysid(plugin.RobotSysidConfig(goals_file))
 
 

@@ -18,6 +18,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,7 +98,7 @@ class Situation:
 
     sources: tuple[str, ...]
     words: str
-    prepare: Callable[[], TrueArm | None]
+    prepare: Callable[[], TrueArm | servo_logs.WeighedServos | None]
     ends: str = ""
     is_fast: bool = False
     knows: Mapping[str, str] = field(default_factory=dict)
@@ -309,6 +310,13 @@ def arm_with_servos() -> ServoArm:
     return ServoArm()
 
 
+def light_servos() -> servo_logs.WeighedServos:
+    """A log of servos without a weight, of an arm that is recorded with one later."""
+    arm = servo_logs.WeighedServos(load_robot_model(written_arm(servo_logs.LIGHT)))
+    arm.record(Path("log.csv"), None, 0.0)
+    return arm
+
+
 def two_arms() -> None:
     written_arm(small_arms.TWO_ARMS)
 
@@ -470,6 +478,11 @@ SITUATIONS = {
     "goals": Situation(
         ("logs.column_map --torque-from",), "log log.csv arm.xml", servos
     ),
+    "light links": Situation(
+        ("step: servo sizes unknown",),
+        "identify arm.xml log.csv --torque-from position-error",
+        light_servos,
+    ),
     "torque sign": Situation(
         ("faults.refusal --columns",),
         "log log.csv arm.xml",
@@ -621,7 +634,7 @@ def error_elsewhere(folder: str) -> float:
 class Follower:
     """Runs printed commands until they lead to a result; keeps all that was printed."""
 
-    def __init__(self, situation: Situation, arm: TrueArm | None) -> None:
+    def __init__(self, situation: Situation, arm: Any) -> None:
         self._ends = situation.ends
         self._knows = situation.knows
         equipment = MotorBus(watchdog=0.5, echo=True).equipment

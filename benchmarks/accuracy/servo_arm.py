@@ -1,6 +1,13 @@
 """A simulated arm behind position servos, with its own stepping and friction.
 
-It shares no code with the rollouts that are tested on its logs.
+It shares no code with what is fitted to its logs, or with the rollouts that are tested on them.
+
+    M qdd + bias = clip(stiffness beyond(c - q, dead zone), +-limit) - damping qd - friction
+    friction = coulomb + stribeck exp(-(qd / SLIP_SPEED)^2) + load_share |motor + bias|
+    lag dc/dt = command(t - delay) - c
+
+with the motor's torque behind its limit and damping. Damping stands beside the limit, as back-EMF
+does.
 """
 
 from __future__ import annotations
@@ -15,8 +22,8 @@ from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.playback import chain_actuators
 
 TICK = 1e-3
-FADING_SPEED = 0.1
-"""Speed over which friction beyond Coulomb's fades [rad/s]."""
+SLIP_SPEED = 0.1
+"""Speed over which friction at rest beyond Coulomb's fades [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +33,14 @@ class ServoArm:
     Attributes:
         robot: model of its links.
         stiffness, damping, coulomb, armature: (n,) of its servos and joints together.
-        servo_damping: (n,) part of the damping that the servo gives.
+        servo_damping: (n,) part of the damping that the servo gives within its limit; where it is
+            zero, all damping stands beside the limit.
         delay: delay of the commands [s].
         limit: (n,) largest torque of the servos [N m].
         dead_zone: (n,) distance from the command within which a servo gives no torque [rad].
-        fading: (n,) friction at rest beyond Coulomb's, as a share of it.
+        stribeck: (n,) friction at rest beyond Coulomb's, which fades over ``SLIP_SPEED`` [N m].
+        load_share: (n,) share of |motor + links' torque| that is friction.
+        lag: time constant with which a servo follows its commands [s].
     """
 
     robot: RobotModel
@@ -42,7 +52,9 @@ class ServoArm:
     delay: float
     limit: np.ndarray
     dead_zone: np.ndarray | float = 0.0
-    fading: np.ndarray | float = 0.0
+    stribeck: np.ndarray | float = 0.0
+    load_share: np.ndarray | float = 0.0
+    lag: float = 0.0
 
     def play(self, time, command):
         """Return positions (N, n) at times (N,) at which commands (N, n) are given, from rest."""
@@ -55,11 +67,16 @@ class ServoArm:
             command[0].copy(),
             TICK / 2,
         )
+        dofs = self.robot.dof_index
+        # The bias at the start; later it is that of the last step.
+        arm.mobility()
         positions = np.empty_like(command)
         ticks = np.round(time / TICK).astype(int)
         late = np.round((time + self.delay) / TICK).astype(int)
+        follows = -np.expm1(-TICK / 2 / self.lag) if self.lag else 1.0
         at = -1
         target = command[0]
+        led = target
         for tick in range(ticks[-1] + 1):
             sample = np.searchsorted(ticks, tick)
             if ticks[sample] == tick:
@@ -68,15 +85,18 @@ class ServoArm:
                 at += 1
                 target = command[at]
             for _ in range(2):
-                distance = target - arm.q
+                led = led + follows * (target - led)
+                distance = led - arm.q
                 play = np.clip(distance, -self.dead_zone, self.dead_zone)
                 spring = self.stiffness * (distance - play)
                 asks = spring - self.servo_damping * arm.qd
                 free = np.abs(asks) <= self.limit
                 torque = np.where(free, spring, np.clip(asks, -self.limit, self.limit))
-                rubs = 1.0 + self.fading * np.exp(-np.abs(arm.qd) / FADING_SPEED)
-                arm.coulomb = self.coulomb * rubs
-                arm.step(torque, self.damping - np.where(free, 0.0, self.servo_damping))
+                damping = self.damping - np.where(free, 0.0, self.servo_damping)
+                load = np.abs(torque - damping * arm.qd + arm.data.qfrc_bias[dofs])
+                sticking = self.stribeck * np.exp(-((arm.qd / SLIP_SPEED) ** 2))
+                arm.coulomb = self.coulomb + sticking + self.load_share * load
+                arm.step(torque, damping)
         return positions
 
 
@@ -85,19 +105,16 @@ def other_than(
 ):
     """Return an arm whose servos and joints differ from those of its model."""
     n = robot.n_joints
-    dofs = robot.dof_index
     actuators = chain_actuators(robot)
-    factor = rng.uniform(*gain, n)
-    damping = robot.mj_model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
     return ServoArm(
-        robot,
-        rng.uniform(*gain, n) * np.nan_to_num(actuators.stiffness, nan=50.0),
-        factor * damping,
-        factor * np.nan_to_num(actuators.damping),
-        rng.uniform(*friction, n) * robot.mj_model.dof_frictionloss[dofs],
-        rng.uniform(*armature, n) * robot.mj_model.dof_armature[dofs],
-        delay,
-        actuators.limit,
+        robot=robot,
+        stiffness=rng.uniform(*gain, n) * np.nan_to_num(actuators.stiffness, nan=50.0),
+        damping=rng.uniform(*gain, n) * actuators.damping,
+        servo_damping=np.zeros(n),
+        coulomb=rng.uniform(*friction, n) * robot.friction.coulomb,
+        armature=rng.uniform(*armature, n) * robot.armature,
+        delay=delay,
+        limit=actuators.limit,
     )
 
 

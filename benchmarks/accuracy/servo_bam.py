@@ -27,6 +27,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import math
 import os
 import resource
 import shutil
@@ -112,17 +113,25 @@ def run(*words) -> int:
 def numbers_of(folder) -> dict[str, float]:
     """Return the numbers of a result of robot-sysid by name."""
     text = (folder / "servo.json").read_text(encoding="utf-8")
-    return {row["name"]: row["value"] for row in json.loads(text)["quantities"]}
+    rows = json.loads(text)["quantities"]
+    return {row["name"]: row["value"] for row in rows if row["source"] != "file"}
 
 
 def card_of(folder) -> Card:
     """Return all that the cards of a result of robot-sysid hold."""
     numbers = numbers_of(folder)
+    limit = numbers["torque_limit"]
     return Card(
         gain=numbers["gain"],
-        damping=numbers["damping"],
+        limit=math.inf if limit is None else limit,
+        # All damping is in the torque that the gears carry.
+        back_emf=numbers["damping"],
         coulomb=numbers["frictionloss"],
         armature=numbers["armature"],
+        load_share=numbers["load_share"],
+        stribeck=numbers["stribeck"],
+        stribeck_speed=numbers["slip_speed"],
+        stribeck_curve=2.0,
         delay=numbers["command_delay"],
     )
 

@@ -45,7 +45,7 @@ UNITS = {
     "damping": "N·m·s/rad",
     "frictionloss": "N·m",
     "armature": "kg·m²",
-    "limit": "N·m",
+    "torque_limit": "N·m",
 }
 """Numbers of a servo with its joint, by the names of servo.json; damping is of both together."""
 SECONDS = 40.0
@@ -89,7 +89,7 @@ SETS = (
             "damping": 0.60,
             "frictionloss": 0.052,
             "armature": 0.028,
-            "limit": 3.35,
+            "torque_limit": 3.35,
         },
     ),
     PublishedSet(
@@ -103,7 +103,7 @@ SETS = (
             "damping": (1.0733, 0.8774, 0.4926, 0.5175, 0.4502, 1.1390),
             "frictionloss": (0.2155, 0.3181, 0.4019, 0.2965, 0.2828, 0.3115),
             "armature": (0.05823, 0.04425, 0.05451, 0.05110, 0.05138, 0.04338),
-            "limit": 3.35,
+            "torque_limit": 3.35,
         },
     ),
     PublishedSet(
@@ -116,7 +116,7 @@ SETS = (
             "damping": 0.60,
             "frictionloss": 0.052,
             "armature": 0.028,
-            "limit": 2.94,
+            "torque_limit": 2.94,
         },
     ),
 )
@@ -137,7 +137,7 @@ def spec_of(published):
         joint.armature = numbers["armature"]
         servo.gainprm[0] = numbers["gain"]
         servo.biasprm[1:3] = -numbers["gain"], -numbers["servo_damping"]
-        servo.forcerange = [-numbers["limit"], numbers["limit"]]
+        servo.forcerange = [-numbers["torque_limit"], numbers["torque_limit"]]
     return spec
 
 
@@ -183,7 +183,8 @@ def found_of(published, file_numbers) -> tuple[dict, float, bool]:
         if not result.exists():
             return {}, seconds, is_written
         rows = json.loads(result.read_text(encoding="utf-8"))["quantities"]
-        return {(row["of"], row["name"]): row for row in rows}, seconds, is_written
+        own = [row for row in rows if row["source"] != "file"]
+        return {(row["of"], row["name"]): row for row in own}, seconds, is_written
 
 
 def lines_of(published, file_numbers):

@@ -1,37 +1,43 @@
-"""Drawn arms behind servos: do stated errors hold, and what is a dead zone worth in the fit?
+"""Drawn arms behind servos: how far off is what is found of them, and do stated errors hold?
 
-    OMP_NUM_THREADS=1 python -m benchmarks.trust.drawn_servos [ARMS] [limited]
+    OMP_NUM_THREADS=1 python -m benchmarks.trust.drawn_servos [FIRST] [BEYOND] [--write]
 
-Each arm is an SO-101 with links 10 to 20 % off its file (one of them 40 %), servos, rotors, damping
-and Coulomb friction of its own, and friction that fades with speed, which no file knows. Half of
-the joints of every second arm have a dead zone of 0.2 to 1 degree. 40 s of sines and steps are
-logged at 25 to 200 Hz by encoders of 4096 steps a turn; commands act up to 0.1 s late. Torques have
-no limit, or that of the file. The arm is stepped by ``ArmStepper``, which shares no code with what
-fits it.
+Each arm is an SO-101 with links 10 to 20 % off its file (one of them 40 %), and servos, rotors,
+damping and Coulomb friction of its own. All have a limit of voltage beside which damping stands,
+friction at rest that fades over 0.1 rad/s, friction that grows with load, and a lag; half of the
+joints of every second arm have a dead zone of 0.2 to 1 degree. 40 s of sines and steps are logged
+at 25 to 200 Hz by encoders of 4096 steps a turn; commands act up to 0.1 s late. The arm is stepped
+by ``ArmStepper``, which shares no code with what fits it.
 
-The first half is fitted, as it is and as if servos had no dead zones; the second half is played in
-windows of 1 s. An error counts in stated ones.
+The first half is fitted; the second half is played by the numbers of the file in windows of 5 s. An
+error counts in stated ones.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from benchmarks.accuracy import servo_arm
 from rigs.arms.wrong_arms import write_link, wrong_links
-from rigs.files.places import MODELS
+from rigs.files.page_tables import PageTable
+from rigs.files.places import MODELS, ROOT
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording, RobotModel
-from robot_sysid.servo import equations
+from robot_sysid.records.messages import Progress
+from robot_sysid.records.servo_setting import UNKNOWN
+from robot_sysid.servo.derived import absolute_numbers, derived_numbers
 from robot_sysid.servo.fit import ServoFit, fit_servos
 from robot_sysid.servo.loop import rms
-from robot_sysid.servo.result import UNITS
 from robot_sysid.servo.windows import ServoProblem
-from robot_sysid.simulation.playback import ServoRollouts
+from robot_sysid.simulation.playback import servos_in_model
 
+TABLE = PageTable(
+    ROOT / "docs" / "rollout.md", "drawn", "python -m benchmarks.trust.drawn_servos"
+)
 FILE = MODELS / "so101/so101_new_calib.xml"
 TIP = "wrist_roll"
 ARMS = 24
@@ -39,18 +45,20 @@ SECONDS = 40.0
 RATES = (25.0, 50.0, 100.0, 200.0)
 ENCODER = 2.0 * np.pi / 4096
 BANDWIDTH = (12.0, 32.0)
-"""Frequencies of servos without damping [rad/s]; samples resolve nearly all of them."""
+"""Frequencies of servos without damping [rad/s]."""
 DAMPING = (0.4, 1.2)
 """Damping over the critical one."""
 COULOMB = (0.03, 0.1)
-FADING = (0.0, 0.3)
-"""Friction at rest beyond Coulomb's, as a share of it."""
+STRIBECK = (0.0, 1.0)
+"""Friction at rest beyond Coulomb's, over it."""
+LOAD_SHARE = (0.0, 0.25)
 ROTOR = (0.5, 1.5)
 """Rotor inertia over the file's."""
+REACH = (0.15, 0.6)
+"""Position error at which the torque is at its limit [rad]."""
 LARGEST_DELAY = 0.1
+LARGEST_LAG = 0.02
 DEAD_ZONE = np.radians((0.2, 1.0))
-NONE = np.array([1e-9])
-"""Dead zones that are tried where there are to be none: one that explains nothing [rad]."""
 FAR = 2.5
 """Stated errors beyond which an error is counted."""
 
@@ -68,8 +76,8 @@ class Drawn:
     log: Recording
 
 
-def draw(robot: RobotModel, seed: int, limit: np.ndarray) -> Drawn:
-    """Return an arm with torque limits (n,) and its log; those of odd seeds have dead zones."""
+def draw(robot: RobotModel, seed: int) -> Drawn:
+    """Return an arm and its log; those of odd seeds have dead zones."""
     rng = np.random.default_rng(seed)
     n = robot.n_joints
     model = robot.mj_model.__copy__()
@@ -78,26 +86,55 @@ def draw(robot: RobotModel, seed: int, limit: np.ndarray) -> Drawn:
     rotor = rng.uniform(*ROTOR, n) * robot.armature
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature + rotor
     bandwidth = rng.uniform(*BANDWIDTH, n)
+    gain = inertia * bandwidth**2
     damping = 2.0 * rng.uniform(*DAMPING, n) * bandwidth * inertia
+    coulomb = rng.uniform(*COULOMB, n)
+    stribeck = rng.uniform(*STRIBECK, n) * coulomb
+    load_share = rng.uniform(*LOAD_SHARE, n)
     has_dead_zone = (rng.uniform(size=n) < 0.5) & (seed % 2 == 1)
+    dead_zone = has_dead_zone * rng.uniform(*DEAD_ZONE, n)
+    limit = gain * rng.uniform(*REACH, n)
+    lag = float(rng.uniform(0.0, LARGEST_LAG))
     arm = servo_arm.ServoArm(
         robot=replace(robot, mj_model=model),
-        stiffness=inertia * bandwidth**2,
+        stiffness=gain,
         damping=damping,
         servo_damping=np.zeros(n),
-        coulomb=rng.uniform(*COULOMB, n),
+        coulomb=coulomb,
         armature=rotor,
         # The arm acts on commands at whole milliseconds.
         delay=round(rng.uniform(0.0, LARGEST_DELAY), 3),
         limit=limit,
-        dead_zone=has_dead_zone * rng.uniform(*DEAD_ZONE, n),
-        fading=rng.uniform(*FADING, n),
+        dead_zone=dead_zone,
+        stribeck=stribeck,
+        load_share=load_share,
+        lag=lag,
     )
     rate = float(rng.choice(RATES))
-    time, command = servo_arm.commands(robot, rng, SECONDS, rate)
+    at, command = servo_arm.commands(robot, rng, SECONDS, rate)
     sent = ENCODER * np.round(command / ENCODER)
-    q = ENCODER * np.round(arm.play(time, sent) / ENCODER)
-    return Drawn(arm, Recording(time, q, None, sent - q, command=sent))
+    q = ENCODER * np.round(arm.play(at, sent) / ENCODER)
+    return Drawn(arm, Recording(at, q, None, sent - q, command=sent))
+
+
+def truths(arm: servo_arm.ServoArm) -> dict[str, np.ndarray]:
+    """Return the true numbers (n,) of a drawn arm by name."""
+    gain = arm.stiffness
+    return {
+        "dead_band": (arm.coulomb + arm.stribeck) / gain + arm.dead_zone,
+        "friction_over_gain": arm.coulomb / gain,
+        "damping_over_gain": arm.damping / gain,
+        "even_speed": arm.coulomb / arm.damping,
+        "gain": gain,
+        "torque_limit": arm.limit,
+        "damping": arm.damping,
+        "frictionloss": arm.coulomb,
+        "armature": arm.armature,
+        "stribeck": arm.stribeck,
+        "load_share": arm.load_share,
+        "dead_zone": arm.dead_zone,
+        "loop_lag": np.full_like(gain, arm.lag),
+    }
 
 
 @dataclass(frozen=True)
@@ -105,84 +142,87 @@ class Answer:
     """What a fit found of a drawn arm.
 
     Attributes:
-        fit: as found.
-        held_out: root mean square position error of what it plays [rad].
+        off: name to errors, stated errors and true numbers (3, n), of joints that show it.
+        held_out: root mean square position errors of the file before and after [rad].
+        seconds: processor time.
     """
 
-    fit: ServoFit
-    held_out: float
+    off: dict[str, np.ndarray]
+    held_out: tuple[float, float]
+    seconds: float
 
 
-def answer(robot: RobotModel, rollouts: ServoRollouts, log: Recording) -> Answer:
+def answer(robot: RobotModel, drawn: Drawn) -> Answer:
     """Fit the first half of a log and play the other."""
-    half = len(log) // 2
-    fit = fit_servos(robot, [log[:half]])
-    errors = ServoProblem(rollouts, [log[half:]], fit.delay).errors(fit)
-    return Answer(fit, rms(errors))
+    half = len(drawn.log) // 2
+    before = time.process_time()
+    fit = fit_servos(robot, [drawn.log[:half]], Progress())
+    seconds = time.process_time() - before
+    problem = ServoProblem(robot, [drawn.log[half:]], UNKNOWN, fit.delay)
+    in_model = replace(servos_in_model(robot), delay=fit.delay)
+    plays = (in_model, fit.in_file)
+    held_out = tuple(rms(problem.errors(servos)) for servos in plays)
+    return Answer(offs(robot, drawn.arm, fit), held_out, seconds)
 
 
-def offs(drawn: Drawn, fit: ServoFit) -> dict[str, np.ndarray]:
-    """Return errors in stated ones by quantity, of joints that show it."""
-    arm = drawn.arm
-    truth = np.array([arm.stiffness, arm.damping, arm.coulomb, arm.armature])
-    at = fit.is_known & ~fit.is_fast
-    off = (fit.numbers - truth)[:, at] / fit.errors[:, at]
-    # A delay that is not known, at torque limits, is not right either.
-    off_delay = np.array([fit.delay - arm.delay]) / fit.delay_error
-    rows = {"delay": off_delay[np.isfinite([fit.delay_error])]}
-    rows.update(zip(UNITS, off))
-    found = fit.dead_zones > 0.0
-    missed = (fit.dead_zones - arm.dead_zone)[found]
-    rows["dead zone"] = missed / fit.dead_zone_errors[found]
+def offs(
+    robot: RobotModel, arm: servo_arm.ServoArm, fit: ServoFit
+) -> dict[str, np.ndarray]:
+    """Return name to errors, stated errors and true numbers (3, n) of a fit."""
+    found = {**derived_numbers(robot, fit), **absolute_numbers(fit)}
+    late = np.array([[fit.delay - arm.delay], [fit.delay_error], [arm.delay]])
+    rows = {"delay": late}
+    for name, true in truths(arm).items():
+        values = found[name].values
+        rows[name] = np.stack((values - true, found[name].errors, true))
     return rows
 
 
-def line(title: str, values: np.ndarray) -> str:
-    """Return a row on errors in stated ones."""
-    sizes = np.abs(values)
-    return (
-        f"  {title}: root mean square {rms(values):.2f}, largest {np.max(sizes):.1f}, "
-        f"{np.sum(sizes > FAR)} of {len(values)} beyond {FAR:g}"
-    )
+def lines(answers: list[Answer]) -> list[str]:
+    """Return the rows of the table."""
+    heads = ("", "error, median", "stated, median", "rms in ±", f"beyond {FAR:g} ±")
+    rows = [heads, ("---",) * len(heads)]
+    for name in answers[0].off:
+        off, stated, true = np.hstack([each.off[name] for each in answers])
+        size = np.maximum(np.abs(true), 1e-9)
+        in_stated = np.abs(off) / stated
+        is_there = true > 0.0
+        shares = (
+            100.0 * np.median(each[is_there] / size[is_there])
+            for each in (np.abs(off), stated)
+        )
+        error, known = (f"{share:.1f} %" for share in shares)
+        far = f"{np.sum(in_stated > FAR)} of {len(off)}"
+        rows.append(
+            (name.replace("_", " "), error, known, f"{rms(in_stated):.2f}", far)
+        )
+    held_out = np.array([each.held_out for each in answers])
+    before, after = 1e3 * np.median(held_out, axis=0)
+    seconds = np.median([each.seconds for each in answers])
+    return [
+        *("| " + " | ".join(row) + " |" for row in rows),
+        "",
+        f"{len(answers)} arms: the file's position error over 5 s falls from {before:.0f} to "
+        f"{after:.1f} mrad in the median, in {seconds:.0f} s of processor time for 20 s of five "
+        "joints.",
+    ]
 
 
-def report(title: str, cases: list[tuple[Drawn, Answer]]) -> None:
-    """Print errors of one group of arms."""
-    median = 1e3 * np.median([found.held_out for _, found in cases])
-    print(f"{title}: held-out error {median:.2f} mrad in the median")
-    parts = [offs(drawn, found.fit) for drawn, found in cases]
-    for name in parts[0]:
-        values = np.concatenate([part[name] for part in parts])
-        if len(values):
-            print(line(name, values))
-    has = np.array([drawn.arm.dead_zone > 0.0 for drawn, _ in cases])
-    found = np.array([answer.fit.dead_zones > 0.0 for _, answer in cases])
-    print(
-        f"  dead zones: {np.sum(has & found)} of {np.sum(has)} found, {np.sum(found & ~has)} of "
-        f"{np.sum(~has)} other joints are said to have one"
-    )
-
-
-def main(count: str = str(ARMS), limited: str = "") -> None:
-    """Print rows with the term and without it, of arms with dead zones and of others."""
+def main() -> None:
+    """Print the table, and write it into its page if asked."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("first", type=int, nargs="?", default=0)
+    parser.add_argument("beyond", type=int, nargs="?", default=ARMS)
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args()
     robot = load_robot_model(FILE, joint=TIP)
-    rollouts = ServoRollouts(robot)
-    if not limited:
-        rollouts.actuators.limit[:] = np.inf
-    limit = rollouts.actuators.limit
-    tried = equations.DEAD_ZONES
-    rows: dict[str, list[tuple[Drawn, Answer]]] = {}
-    for seed in range(int(count)):
-        drawn = draw(robot, seed, limit)
-        group = "with dead zones" if np.any(drawn.arm.dead_zone) else "without any"
-        for word, zones in {"as it is": tried, "without the term": NONE}.items():
-            equations.DEAD_ZONES = zones
-            case = (drawn, answer(robot, rollouts, drawn.log))
-            rows.setdefault(f"arms {group}, {word}", []).append(case)
-        equations.DEAD_ZONES = tried
-    for title, cases in rows.items():
-        report(title, cases)
+    answers = []
+    for seed in range(options.first, options.beyond):
+        answers.append(answer(robot, draw(robot, seed)))
+        _, after = answers[-1].held_out
+        print(f"arm {seed}: {1e3 * after:.2f} mrad", flush=True)
+    TABLE.show(lines(answers), options.write)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

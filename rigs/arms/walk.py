@@ -26,6 +26,7 @@ from robot_sysid.commands.arguments import Command
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.records import Array, MotionPlan, RobotModel
+from robot_sysid.records.servo_setting import parse_servo_setting
 
 _WRONG_LINKS = 0.06
 """Standard deviation of the links' masses from the model's, relative to them."""
@@ -203,7 +204,15 @@ class Walk:
     def record_missing(self, line: str) -> None:
         """Make the recordings that a command line names and that do not exist."""
         loads = {"empty": 0.0, "empty_again": 0.0, "weight": KNOWN_MASS}
-        for word in shlex.split(line):
+        words = shlex.split(line)
+        stated = [
+            parse_servo_setting(word).load_mass
+            for option, word in zip(words, words[1:])
+            if option == "--servo-setting"
+        ]
+        # The last one is that of the log that is missing.
+        loads["weighed"] = stated[-1] or 0.0 if stated else 0.0
+        for word in words:
             path = Path(word)
             saved = path.with_name("trajectory.json")
             if path.exists():

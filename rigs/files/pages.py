@@ -12,7 +12,7 @@ import numpy as np
 
 from rigs.arms import small_arms
 from rigs.files.places import ROOT
-from rigs.logs import recorded
+from rigs.logs import recorded, servo_logs
 from rigs.logs.log_files import read_measurements
 from robot_sysid.cli import main
 from robot_sysid.config import SelfTestConfig
@@ -108,6 +108,7 @@ def make_workshop(folder: Path) -> None:
         record(folder, "truth.xml", f"{log}.csv", number)
     for number, log in enumerate(("b", "c", "f")):
         record(folder, "loaded.xml", f"{log}.csv", 10 + number)
+    record_servos(folder)
     motors = "--export-damiao" + 4 * " --motor-type DM8009"
     run(f"my_arm.xml --duration 12 --sample-rate 200 --output-dir made {motors}")
     for path in (folder / "made").glob("damiao*.csv"):
@@ -147,6 +148,15 @@ def make_models(folder: Path) -> None:
     texts["follower.yaml"] = f"FollowerArmParam:\n  Fc: {five}\n  Fv: {five}\n"
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def record_servos(folder: Path) -> None:
+    """Write the model of a small arm behind servos, and a log of it without torques."""
+    path = folder / "servo_arm.xml"
+    path.write_text(servo_logs.XML, encoding="utf-8")
+    time, command = servo_logs.sines_and_steps()
+    q = servo_logs.positions(load_robot_model(path), time, command)
+    servo_logs.write(folder / "servo_log.csv", time, q, command)
 
 
 def humanoid() -> str:

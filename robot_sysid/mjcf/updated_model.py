@@ -77,8 +77,9 @@ class ElementChange:
             that of its "rotor"), "damping" and "frictionloss" (viscous and Coulomb friction), and
             "stiffness" and "springyield" of a spring that is dry friction; "frictionloss" of an
             actuator is that of a DC motor, and 0; of a position actuator, before its gear, "kp"
-            and "kv", with which it makes
-            kp (ctrl - q) - kv qd. A <position> has no kv before MuJoCo 3.1.
+            and "kv", with which it makes kp (ctrl - q) - kv qd, and "forcerange", its largest
+            force to both sides; "solimpfriction" of a joint, how firmly its dry friction holds. A
+            <position> has no kv before MuJoCo 3.1.
         coefficients: joint name to speed of the tendon per speed of that joint.
         further: new damping per speed squared and cubed; None leaves the file's.
     """
@@ -284,6 +285,16 @@ def write_element(document: ModelDocument, change: ElementChange, rmse: float) -
         node.attrib.update({"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"})
     for name, value in numbers.items():
         text = format_number(value)
+        if name == "kv":
+            # A <position> states its damping itself or by a ratio, not both.
+            node.attrib.pop("dampratio", None)
+        if name == "forcerange":
+            text = f"-{text} {text}"
+            node.set("forcelimited", "true")
+        if name == "solimpfriction":
+            # Behind both ends of its impedance are the numbers of the way between them.
+            further_numbers = (node.get(name) or "").split()[2:]
+            text = " ".join([text, text, *further_numbers])
         if name == "damping" and change.kind != "actuator":
             nonlinear = (node.get(name) or "").split()[1:]
             if change.further is not None:

@@ -33,8 +33,8 @@ DIGITS = 6
 # Title of a column of goals.
 _TITLE = re.compile(r"(.+) goal position \[(rad|m)\]")
 _FORM = (
-    'the goals.csv of robot-sysid plan --for servos has a column "time" in seconds and columns '
-    'such as "elbow goal position [rad]"'
+    'goals.csv, which robot-sysid plan writes for servos, has a column "time" in seconds and '
+    'columns such as "elbow goal position [rad]"'
 )
 
 

@@ -102,6 +102,13 @@ STEPS: Mapping[str, Step] = {
         "payload {model} --empty {folder}/empty.csv --loaded {log} {options} --output-dir "
         "{folder}/weighed",
     ),
+    "servo sizes unknown": Step(
+        "Next, fix {mass} kg to the last link at {place} m in the frame of {body}, record the same "
+        "motion once more as {folder}/weighed.csv, and fit both: absolute sizes of {joints} "
+        "{now} -> {after}",
+        "identify {model} {log} {folder}/weighed.csv --torque-from position-error {options} "
+        "--output-dir {folder}/weighed",
+    ),
     "torque scales known": Step(
         "Next, identify the arm with these torque scales, as in every later run",
         "identify {model} {log} {options} --torque-scale {scales}",

@@ -70,9 +70,11 @@ def run(config: Config, progress: Progress | None = None) -> Written:
     """
     progress = progress or Progress()
     if isinstance(config, IdentifyConfig) and config.output.torque_from is not None:
+        from robot_sysid.pipeline.servo_step import step_after_servos
         from robot_sysid.servo import run_servo
 
-        return run_servo(config, load_arm(config, progress), progress)
+        step_after = partial(step_after_servos, config)
+        return run_servo(config, load_arm(config, progress), progress, step_after)
     with writable_folder(config.output.output_dir, progress):
         robot = load_arm(config, progress)
         if isinstance(config, PlanConfig):

@@ -190,13 +190,24 @@ SERVO_GAIN_SPREAD = 0.5
 logarithm. Servos of one arm are of one kind, and set alike."""
 SERVO_BANDWIDTH = 20.0
 """Frequency of a servo's oscillation without damping where the model has no servo [rad/s]."""
-SERVO_NUMBERS = 1.0
-"""Gain, damping, friction and rotor inertia of a servo that is too fast for the samples, over the
-model's: standard deviation of the logarithms."""
+SERVO_REACH = 0.5
+"""Position error at which a servo reaches its torque limit [rad]: median of small servos, of which
+the logarithm has a standard deviation of one, as those of the next two have."""
+SERVO_LAG = 0.05
+"""Damping of joint and servo together over the gain [s]."""
+SERVO_STICKING = 0.02
+"""Dry friction over the gain: the position error that does not move a servo [rad]."""
+SERVO_LOAD_SHARE = 0.15
+"""Share of the torque of motor and links by which friction grows: small servos have 0.1 to 0.25."""
 SERVO_PLAY = math.radians(0.5)
 """Dead zone of a servo where none is seen [rad]: the play that the makers of an SO-101 state."""
-SERVO_FRICTION = 2.0
-"""Relative error of the dry friction that such a servo hides."""
+SERVO_DELAY = 0.1
+"""Time by which commands act late [s]: the way over a bus takes a hundredth, over a network a
+tenth."""
+SERVO_LOOP_LAG = 0.01
+"""Time by which a servo smooths its commands [s]."""
+SERVO_ZERO = math.radians(2.0)
+"""What a joint's link is turned by where its servo reads zero [rad]: its horn is set by hand."""
 
 # ---- what is printed
 

@@ -11,8 +11,10 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -26,18 +28,19 @@ from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import shared_motors
-from robot_sysid.records import Array, InertialParameters, RobotModel
+from robot_sysid.records import Array, InertialParameters, RobotModel, Traces
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS, makers_of
-from robot_sysid.records.levels import SURE
+from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import printable, with_error
 from robot_sysid.records.quantities import (
     DATA,
+    FILE,
     BodyEstimate,
     Quantity,
     load_errors,
     principal_moments,
 )
-from robot_sysid.results.record import Identification, Payload
+from robot_sysid.results.record import Payload
 
 # Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
 # each of ``controllers.SIMULATORS``.
@@ -62,8 +65,51 @@ UNCHANGED = "as in the model before"
 """Comment of a body whose numbers an identification left alone."""
 NOT_SHOWN = "the logs do not show its inertia"
 """Comment of a body whose inertia is the model's, or only keeps the body possible."""
+IN_FILE = {"gain": "stiffness", "torque_limit": "effort_limit"}
+"""Name of a servo's number to the name under which a card has that of the written model."""
+POSITIVE = ("gain", "torque_limit", "damping", "armature")
+"""Numbers without which there is no servo."""
+SERVO_NUMBERS = (
+    *POSITIVE,
+    "frictionloss",
+    "stribeck",
+    "load_share",
+    "dead_zone",
+    "loop_lag",
+)
+"""Numbers of a joint behind a servo in a card."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
+
+
+class LogResult(Protocol):
+    """What a card reads of the result of logs."""
+
+    @property
+    def quantities(self) -> Iterable[Quantity]:
+        """Its rows."""
+
+    @property
+    def traces(self) -> Callable[..., Traces] | None:
+        """Torques over time; None where none was measured."""
+
+
+@dataclass(frozen=True)
+class ServoNumbers:
+    """Joints behind servos, as a card states them.
+
+    Attributes:
+        numbers: joint name to name and value of ``SERVO_NUMBERS``; of joints that did not move
+            those of the written model, as far as it has them.
+        ranges: joint name to name and (low, high) of those of them that are known.
+        delay: time by which commands act late, and its (low, high) [s].
+        slip_speed: over which the Stribeck part of friction fades [rad/s].
+    """
+
+    numbers: dict[str, dict[str, float | None]]
+    ranges: dict[str, dict[str, tuple[float | None, float | None]]]
+    delay: tuple[float | None, tuple[float | None, float | None]]
+    slip_speed: float
 
 
 def card_text(
@@ -110,7 +156,7 @@ def simulator_card(
     written: RobotModel,
     model_name: str,
     curved: str = "",
-    result: Identification | None = None,
+    result: LogResult | None = None,
     base: str = "",
 ) -> str:
     """Return the numbers of a written model as Python text that a simulator loads.
@@ -121,11 +167,11 @@ def simulator_card(
         written: the same arm as in the written model.
         model_name: name of the file of the written model.
         curved: name of the file whose friction bends with speed; "" where there is none.
-        result: of the logs, which says how fast joints were, what friction grows with load and what
-            each inertia comes from; None where there is none that knows it.
+        result: of the logs, which says how fast joints were, what friction grows with load, what
+            each inertia comes from and what servos do; None where there is none that knows it.
         base: name of the first link of a URDF, which some readers leave free in the air; "" else.
     """
-    rows = result.quantities if result else ()
+    rows = tuple(result.quantities) if result else ()
     not_shown = _links_without_inertia(rows)
     original = {body.name: body.theta for link in robot.links for body in link.bodies}
     bodies = {}
@@ -159,6 +205,7 @@ def simulator_card(
     joints = {}
     for index, name in enumerate(written.joint_names):
         joints[name] = {key: _exact(column[index]) for key, column in columns.items()}
+    servos = _servo_numbers(rows, joints)
     loaded = {}
     shares = load_shares(rows)
     for name, of_joint in loaded_friction(written, friction, traces, shares).items():
@@ -178,11 +225,98 @@ def simulator_card(
         merged=merged,
         joints=joints,
         loaded=loaded,
+        servos=servos,
+        dc_motors=_dc_motors(written, joints, servos) if servos else (),
         replaced=friction.replaced,
         gravity=tuple(map(_exact, written.mj_model.opt.gravity)),
         has_shared_motors=bool(shared_motors(written.mj_model, written.dof_index)),
         has_nameless=any(name.startswith("#") for name in (*bodies, *joints)),
     )
+
+
+def _servo_numbers(
+    rows: Sequence[Quantity], joints: dict[str, dict[str, float | None]]
+) -> ServoNumbers | None:
+    """Return what rows say of servos; None where they say nothing.
+
+    The numbers of the written model's servos are added to its joints, None for those that it lacks.
+    """
+    found = {(row.name, row.of): row for row in rows if row.source != FILE}
+    if "command_delay" not in {name for name, _ in found}:
+        return None
+    in_file = {(row.name, row.of): row.value for row in rows if row.source == FILE}
+    numbers = {}
+    ranges = {}
+    for joint, of_joint in joints.items():
+        for name, key in IN_FILE.items():
+            of_model = found[name, joint].model
+            value = in_file.get(
+                (name, joint), math.nan if of_model is None else of_model
+            )
+            of_joint[key] = _exact(value)
+        of_file = {**of_joint, **{name: of_joint[key] for name, key in IN_FILE.items()}}
+        values: dict[str, float | None] = {}
+        known = {}
+        for name in SERVO_NUMBERS:
+            row = found[name, joint]
+            if row.error is None or not math.isfinite(row.error):
+                values[name] = of_file.get(name, 0.0)
+            else:
+                values[name] = _exact(row.value)
+                known[name] = _range(row)
+        numbers[joint] = values
+        ranges[joint] = known
+    delay = found["command_delay", "arm"]
+    return ServoNumbers(
+        numbers=numbers,
+        ranges=ranges,
+        delay=(_exact(delay.value), _range(delay)),
+        slip_speed=found["slip_speed", "arm"].value,
+    )
+
+
+def _range(row: Quantity) -> tuple[float | None, float | None]:
+    """Return the interval of a row's number that is not negative, as far as it is possible.
+
+    What is positive is as uncertain to both sides by its factor.
+    """
+    assert row.error is not None
+    high = row.value + INTERVAL * row.error
+    low = max(row.value - INTERVAL * row.error, 0.0)
+    if row.name in POSITIVE:
+        low = row.value**2 / high
+    return _exact(low), _exact(high)
+
+
+def _dc_motors(
+    written: RobotModel,
+    joints: Mapping[str, Mapping[str, float | None]],
+    servos: ServoNumbers,
+) -> list[str]:
+    """Return a line of MJCF for each servo with a torque limit: a motor of 1 V with back-EMF.
+
+    With torque constant k = d / t and resistance R = d / t^2, of damping d and torque limit t, the
+    torque k (1 V - k v) / R at speed v is t - d v. The controller asks for gain times position
+    error, less d v, as far as the voltage suffices.
+    """
+    delay, _ = servos.delay
+    late = ""
+    if delay:
+        samples = math.ceil(delay / written.mj_model.opt.timestep)
+        late = f' delay="{delay:.6g}" nsample="{samples}"'
+    lines = []
+    for name, numbers in joints.items():
+        gain, limit, damping = map(
+            numbers.get, ("stiffness", "effort_limit", "damping")
+        )
+        if gain and limit and damping:
+            lines.append(
+                f"<dcmotor name={quoteattr(name)} joint={quoteattr(name)} "
+                f'input="pos" motorconst="{damping / limit:.9g}" '
+                f'resistance="{damping / limit**2:.9g}" '
+                f'controller="{gain:.9g} 0 {damping:.9g} 0 0 1"{late}/>'
+            )
+    return lines
 
 
 def _links_without_inertia(quantities: Sequence[Quantity]) -> set[str]:

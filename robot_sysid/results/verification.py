@@ -118,6 +118,8 @@ _SETTINGS_ADVICE = (
     "no model was written; of the compiler settings, settotalmass, boundmass, boundinertia and "
     "fusestatic change inertias: remove them"
 )
+FIRMNESS = "solimpfriction"
+"""Attribute of a joint that says how firmly dry friction holds it."""
 _NUMERIC_TYPES = (int, float, bytes, np.ndarray)
 
 
@@ -143,6 +145,10 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
                 expected.actuator_gainprm[row, 0] = kp
             bias = (0.0, -kp, -element.numbers.get("kv", 0.0))
             expected.actuator_biasprm[row, :3] = bias
+        if "forcerange" in element.numbers:
+            largest = element.numbers["forcerange"]
+            expected.actuator_forcelimited[row] = 1
+            expected.actuator_forcerange[row] = (-largest, largest)
         if owner == "actuator" and "frictionloss" in element.numbers:
             friction = slice(COULOMB_OF_MOTOR, COULOMB_OF_MOTOR + 3)
             expected.actuator_biasprm[row, friction] = 0.0
@@ -153,6 +159,8 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
                 expected.jnt_springyield[joint] = 0.0
             owner = "dof"
             row = original.jnt_dofadr[joint]
+            if FIRMNESS in element.numbers:
+                expected.dof_solimp[row, :2] = element.numbers[FIRMNESS]
         if owner in ("dof", "tendon") and row is not None:
             for name in _moving_numbers(element):
                 getattr(expected, f"{owner}_{name}")[row] = element.numbers[name]
@@ -166,7 +174,8 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
 def _moving_numbers(element: ElementChange) -> list[str]:
     """Return which numbers of a joint or tendon MuJoCo keeps with those of its motion."""
     is_joint = element.kind == "joint"
-    return [n for n in element.numbers if not (is_joint and n in SPRING_NUMBERS)]
+    elsewhere = (*SPRING_NUMBERS, FIRMNESS)
+    return [n for n in element.numbers if not (is_joint and n in elsewhere)]
 
 
 def compiled_file(written: Path) -> Any:

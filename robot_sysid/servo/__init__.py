@@ -6,8 +6,10 @@ gaps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import chain, compress
+from typing import Optional
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,22 +32,25 @@ from robot_sysid.logs.reader import (
 )
 from robot_sysid.records import Array, Motion, Recording, RobotModel, file_access
 from robot_sysid.records.fault_names import FaultName
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import NextStep, Progress
 from robot_sysid.results.lines import card_lines, folder_text, use_lines
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.written_model import write_joints
 from robot_sysid.servo.command_check import check_commands
 from robot_sysid.servo.fit import ServoFit, fit_servos
 from robot_sysid.servo.loop import goal_error, rms
-from robot_sysid.servo.played_fit import FINE_STEP, refine_by_playing
 from robot_sysid.servo.result import ServoIdentification, servo_lines, servo_notes
-from robot_sysid.servo.windows import WINDOW, ServoProblem
+from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.signals.resampling import split_at_gaps
-from robot_sysid.simulation.playback import STEP, ServoRollouts, servos_in_model
+from robot_sysid.simulation.playback import ServoParameters, servos_in_model
 from robot_sysid.wording import option_setting
 
 HELD_OUT_SHARE = 0.2
 """Share of each log, its end, that is not fitted where there is no validation log."""
+StepAfter = Callable[[ServoIdentification], Optional[NextStep]]
+"""Returns what to do after a result that may be used; None for nothing more."""
+FINE_STEP = 0.0005
+"""Time step in which models are judged [s]."""
 
 
 def refuse_bends(robot: RobotModel) -> None:
@@ -58,7 +63,12 @@ def refuse_bends(robot: RobotModel) -> None:
         )
 
 
-def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> Written:
+def run_servo(
+    config: IdentifyConfig,
+    robot: RobotModel,
+    progress: Progress,
+    step_after: StepAfter = lambda result: None,
+) -> Written:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
     Args:
@@ -66,6 +76,7 @@ def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> 
             removed.
         robot: the arm as in the model file.
         progress: receives stages and notes.
+        step_after: says what to do next.
 
     Raises:
         InputError: the logs cannot be used, or friction of the model bends; nothing is written.
@@ -73,13 +84,16 @@ def run_servo(config: IdentifyConfig, robot: RobotModel, progress: Progress) -> 
     refuse_bends(robot)
     with writable_folder(config.output.output_dir, progress):
         result, poses = identify_servos(robot, config.log, progress)
-        written, notes = write_servos(config, result, poses)
+        written, notes = write_servos(config, result, poses, step_after)
     progress.note(*notes)
     return written
 
 
 def write_servos(
-    config: IdentifyConfig, result: ServoIdentification, poses: Motion
+    config: IdentifyConfig,
+    result: ServoIdentification,
+    poses: Motion,
+    step_after: StepAfter = lambda result: None,
 ) -> tuple[Written, tuple[str, ...]]:
     """Write servo.json and the model; return the written files with the lines on them, and notes.
 
@@ -90,6 +104,7 @@ def write_servos(
         config: names the folder of the results, in which those of an earlier run are removed.
         result: what was identified.
         poses: (m, n) where the written model is checked.
+        step_after: says what to do next.
     """
     robot = result.robot
     folder = config.output.output_dir
@@ -103,8 +118,8 @@ def write_servos(
     if not result.is_better:
         fault = (
             "on held-out pieces the new model does not predict positions better than what is "
-            f"there without it ({new:.3g} rad over {WINDOW:g} s, the model before {old:.3g}, "
-            f"the delayed commands {result.goal:.3g})"
+            f"there without it ({new:.3g} rad over {result.window:.2g} s, the model before "
+            f"{old:.3g}, the delayed commands {result.goal:.3g})"
         )
         accepting = option_setting("accept", FaultName.ROLLOUT)
         verdict = f"Not usable, but written because of {accepting}: {fault}"
@@ -120,7 +135,7 @@ def write_servos(
                 target = ModelTarget(files, path, poses, config.model.mesh_dir)
                 write_joints(robot, tuple(result.changes()), target)
                 written.append(path)
-                written += write_simulator_cards(config, robot, files, written)
+                written += write_simulator_cards(config, robot, files, written, result)
         except ExportError as error:
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
@@ -132,6 +147,8 @@ def write_servos(
         removed = remove_earlier(files, config, robot, written)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
     last_lines = [verdict, *use_lines(written[0]), *card_lines(written)]
+    step = step_after(result)
+    last_lines += step.lines() if step else ()
     if failure is not None:
         last_lines = [f"Not usable: {failure}"]
     files_and_lines = Written(tuple(written), lines, tuple(last_lines), failure, result)
@@ -162,17 +179,19 @@ def identify_servos(
     check_commands(opened, robot.joint_names)
     fitted: list[Recording] = [*chain(*map(split_at_gaps, fitted_logs))]
     held_out: list[Recording] = [*chain(*map(split_at_gaps, tests))]
+    whole = fitted
     if not tests:
         ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]
         held_out = [piece[end:] for piece, end in zip(fitted, ends)]
         fitted = [piece[:end] for piece, end in zip(fitted, ends)]
-    progress.stage("Searching for servos, friction and rotor inertia...")
-    rollouts = ServoRollouts(robot)
-    solved = fit_servos(robot, fitted)
-    problem = ServoProblem(rollouts, fitted, solved.delay)
-    test_problem = ServoProblem(rollouts, held_out, solved.delay)
-    found = refine_by_playing(problem, solved)
-    fit, is_new, before, after = numbers_to_write(found, problem, test_problem)
+    fit = fit_servos(robot, fitted, progress)
+    first = fitted[0].setting
+    problem = ServoProblem(robot, fitted, first, fit.delay)
+    test_problem = ServoProblem(robot, held_out, first, fit.delay)
+    is_new, before, after, fitted_error = judged(fit, problem, test_problem)
+    if not tests:
+        # Judged without their ends, the numbers that are used follow from all of the logs.
+        fit = fit_servos(robot, whole, progress, fit)
     result = ServoIdentification(
         robot=robot,
         fit=fit,
@@ -180,7 +199,10 @@ def identify_servos(
         data=origin_of(fitted_logs, logs.measurements),
         before=before,
         after=after,
+        fitted=fitted_error,
         goal=goal_error(held_out),
+        window=test_problem.length,
+        setting=first,
         notes=tuple(chain(*(log.notes for log in fitted_logs))),
     )
     q = problem.measured[:, 0]
@@ -188,41 +210,51 @@ def identify_servos(
     return result, poses
 
 
-def numbers_to_write(
-    found: ServoFit, problem: ServoProblem, test_problem: ServoProblem
-) -> tuple[ServoFit, NDArray[np.bool_], Array, Array]:
-    """Return the fit whose numbers are written, and how it plays held-out windows.
+def judged(
+    fit: ServoFit, problem: ServoProblem, test_problem: ServoProblem
+) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+    """Return which joints' numbers are written, and how a file with them plays held-out windows.
 
     Joints that do not move, and those that what was found plays clearly worse than the model's
     numbers, keep all of the model's.
 
     Args:
-        found: what was found.
+        fit: what was found.
         problem: windows that were fitted.
         test_problem: windows that were not.
 
     Returns:
-        The fit, (n,) whether a joint has new numbers, and (n,) root mean square position errors
-        in held-out windows of the model before and of the new one [rad or m].
+        (n,) whether a joint has new numbers, and (n,) root mean square position errors in held-out
+        windows of the model before and of the new one, and in fitted ones of the new one [rad or
+        m].
     """
     # Where the model has no servo, its joint's damping is not that of both: what was found stands
     # for gain and damping.
-    kept = servos_in_model(problem.rollouts.robot).numbers
-    without = np.isnan(kept[0])
-    kept[:2, without] = found.numbers[:2, without]
-    old = replace(found, numbers=kept, dead_zones=0.0 * found.dead_zones)
-    is_new = found.is_known
-    step = FINE_STEP if np.any(found.is_fast) else STEP
+    kept = servos_in_model(problem.robot)
+    without = np.isnan(kept.numbers[0])
+    kept.numbers[:2, without] = fit.in_file.numbers[:2, without]
+    kept = replace(kept, delay=fit.delay)
+    is_new = fit.is_known
     while True:
-        fit = replace(
-            found,
-            numbers=np.where(is_new, found.numbers, kept),
-            dead_zones=np.where(is_new, found.dead_zones, 0.0),
-        )
-        before, after, is_worse = test_problem.test(old, fit, step)
-        # Rollouts of what was fitted may only become worse where the equations miss something.
-        *_, is_worse_fitted = problem.test(old, fit, step)
+        new = chosen(fit.in_file, kept, is_new)
+        before, after, is_worse = test_problem.test(kept, new, FINE_STEP)
+        # What was fitted may only become worse where joints move one another otherwise than as
+        # measured.
+        _, fitted, is_worse_fitted = problem.test(kept, new, FINE_STEP)
         is_kept = is_new & (is_worse | is_worse_fitted)
         if not np.any(is_kept):
-            return fit, is_new, before, after
+            return is_new, before, after, fitted
         is_new = is_new & ~is_kept
+
+
+def chosen(
+    new: ServoParameters, old: ServoParameters, is_new: NDArray[np.bool_]
+) -> ServoParameters:
+    """Return new parameters of some joints and old ones of the others."""
+    return replace(
+        new,
+        numbers=np.where(is_new, new.numbers, old.numbers),
+        limits=np.where(is_new, new.limits, old.limits),
+        servo_damping=np.where(is_new, new.servo_damping, old.servo_damping),
+        firmness=np.where(is_new, new.firmness, old.firmness),
+    )

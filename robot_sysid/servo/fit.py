@@ -1,29 +1,20 @@
 """Servos, friction and rotor inertia fitted to an arm's commands and positions.
 
-What is searched in the equations (``equations``) comes first: the delay of all joints, samples at
-torque limits, dead zones. 1/K is a torque scale without a unit, and shows only where the links'
-torque is no small part. Elsewhere it comes from its prior: the gains of the other joints, because
-servos of one arm are alike. What is found of a joint stays together, so that the ratios of its
-numbers, which set the motion, are right whatever the gain.
+The numbers are those with which the arm, played joint by joint in windows of its logs
+(``played_fit``), comes nearest to the measured positions. All that a servo does is in them
+(``unknowns``), and so are errors of the links, which alone fix the scale. What is found of the
+delay in one joint holds for all, because they share a bus; and gains of joints that carry no weight
+are taken to be over the model's what the others' are, because servos of one arm are alike.
 
-The terms are those of every fit, formulas of ``dynamics.friction`` with a ``Prior`` each, and their
-normal equations have its solver (``estimate.fit.solve``). What is not the one fit's:
+A model file holds less. Its numbers are those of the same windows with the rest left out and the
+links as the file has them: friction at the load and speed of the logs, no zeros, no dead zones.
 
-* The delay is no small error here but up to half a second, and is searched: each has other
-  position errors, and the best is the one that leaves least.
-* Links are not fitted, because the file keeps them; all that they may be off by is in the errors.
-* All samples are rows, behind a short low-pass (``loop``), and those are left out that are far from
-  what fits the others, or at a torque limit, for which no linear term stands.
-
-The equation is valid as long as the samples resolve the motion. The numbers of a joint whose servo
-is faster are those of ``played_fit``.
-
-n is the number of joints, p that of terms of a joint, four.
+n is the number of joints, u that of unknowns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,146 +22,403 @@ from numpy.typing import NDArray
 
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.records import Array, Recording, RobotModel
-from robot_sysid.servo.equations import (
-    DEAD_ZONE_DIGITS,
-    N_VALUES,
-    NEAR_LIMIT,
-    LoopEquations,
+from robot_sysid.records.messages import Progress
+from robot_sysid.servo.play import make_tracks
+from robot_sysid.servo.played_fit import PASSES, PlayedFit, Searched, Solved
+from robot_sysid.servo.unknowns import (
+    DEVIATIONS,
+    IN_FILE,
+    LEAST,
+    LEAST_ERRORS,
+    NAMES,
+    UNKNOWNS,
+    column,
+    numbers_at,
 )
-from robot_sysid.servo.loop import GRID, longest_period
-from robot_sysid.simulation.playback import ServoParameters, servos_in_model
+from robot_sysid.simulation.playback import (
+    ServoParameters,
+    chain_actuators,
+    servos_in_model,
+)
 
+LEAST_MOTION = 0.02
+"""Range of positions below which a joint does not move [rad or m]."""
+SHORT = 1.0
+"""Length of the windows in which a search begins [s]: short ones have few wrong minima."""
+LONG = 6.0
+"""Length of those in which it ends [s]: what a model does after seconds is what it is used for."""
+MOST_WINDOWS = 60
+"""Number of windows that are played."""
+DRAWS = 200
+"""Sets of numbers that are drawn from what is known before."""
+BEGINNINGS = 2
+"""Number of places at which a search begins."""
+FIRST_PASSES = 6
+"""Largest number of steps of a first search, after which the places are chosen again."""
 LARGEST_ERROR = 0.4
-"""Relative standard error up to which a number is identified, and up to which a joint's resistance
-at 1 rad/s is known well enough for its numbers to be written."""
-LEAST_COMPLIANCE = 1e-9
-"""Least 1/K of a joint [rad/(N m)]."""
-SEARCHES = 6
-"""Largest number of searches for the delay: it and what else is searched depend on one another."""
-NEARBY = GRID * np.arange(-2.0, 3.0)
-"""Delays around the last that are tried again [s]: an unseen torque limit moves it by 0.016 s."""
-CREEP_DEAD_ZONE = 3e-4
-"""Error of a dead zone by friction that creeps, and by commands between samples [rad]."""
-STICKING_DEAD_ZONE = 0.25
-"""Error of a dead zone by friction that sticks or creeps at each turn, over the position error by
-which a servo overcomes it: of joints that carry no link, it looks like so much of a dead zone."""
-SAMPLING_DELAY = 0.01
-"""Error of the delay by sampling, over the sampling period: of 40 simulated arms at 25 to 200 Hz,
-errors are 0.8 of the stated ones with it, and 1.2 without."""
-LIMIT_DELAY = 5e-4
-"""Error of the delay where samples at a torque limit are left out [s]: what is left beside them is
-up to 1.1 ms late on eleven simulated arms, and 2.1 ms on a twelfth."""
-
-MOST_LIMITED = 0.3
-"""Share of the motion at torque limits, of all joints together, from which the delay is not known:
-of 24 simulated arms with more, the delay of ten was 11 to 70 ms off, six to fifteen of its errors;
-of 24 with less, 2.5 errors at the most."""
-
-# ---- servos that are too fast
-
-FASTEST_TURN = 1.2
-"""Angle by which the oscillation of a servo without damping may turn between two samples [rad]:
-differences of faster motion are no derivatives, and its equations are wrong."""
-SHORTEST_PERIOD = 0.01
-"""Sampling period below which none resolves a faster motion [s]: the low-pass hides it."""
+"""Relative standard error up to which a number is identified."""
+FIRM = 0.99
+"""Firmness of dry friction in the written model: as MuJoCo has it, 0.9, a joint that holds a load
+creeps by about 0.01 rad/s, which no gear does."""
+SHOWN = 4.0
+"""Rise of squares, over those of independent errors, from which a torque limit is reached."""
+FIXED = 1e-6
+"""Deviation of an unknown that stays where it is, over its own."""
+COMMON = {"command_delay": 0.0, "loop_lag": 0.002}
+"""Times that the joints of an arm share, a bus and one kind of servo, and how far off one joint is
+[s]."""
+NORMAL_MEDIAN = 1.0 / 0.6745
+"""Standard deviation of normal errors over the median of their sizes."""
+LEAST_TIME_ERROR = 1e-3
+"""Error of such a time by what servos do otherwise than by a delay and one lag [s]."""
 
 
 @dataclass(frozen=True)
-class ServoFit(ServoParameters):
-    """The fitted numbers of an arm and how sure they are.
+class ServoFit:
+    """The numbers of an arm's servos and how sure they are.
 
     Attributes:
-        errors: (4, n) standard errors of the numbers.
-        is_fast: (n,) whether the samples do not resolve the motion of the servo.
+        x: (n, u) of all that a servo does (``unknowns``), in deviations from their means.
+        covariance: (n, u, u) of ``x``, errors of the links in it.
+        given_links: (n, u, u) the same if the links are those of the file, as ratios to their
+            weight have it.
+        likely_gain: (n,) gains of which ``x`` has a factor [N m/rad].
         is_known: (n,) whether a joint moves enough to show its numbers.
-        delay_error: standard error of the delay, infinite where no joint shows it [s].
-        dead_zone_errors: (n,) standard errors of the dead zones, zero where there is none [rad].
-        limited_share: (n,) share of the moving samples that a servo's torque limit makes wrong.
+        in_file: numbers that a model file holds, refitted with the rest left out.
+        held_x: (k, u) of the file's numbers, in deviations from the unknowns' means, of the k
+            joints that move.
+        mean, deviation: (k, u) of what is known of the unknowns before, but for what the other
+            joints say.
+        delay: time by which all commands act late [s].
+        delay_error: its standard error [s].
     """
 
-    errors: Array
-    is_fast: NDArray[np.bool_]
+    x: Array
+    covariance: Array
+    given_links: Array
+    likely_gain: Array
     is_known: NDArray[np.bool_]
+    in_file: ServoParameters
+    held_x: Array
+    mean: Array
+    deviation: Array
+    delay: float
     delay_error: float
-    dead_zone_errors: Array
-    limited_share: Array
 
     @property
-    def is_shown(self) -> NDArray[np.bool_]:
-        """Which numbers (4, n) the data shows, and not only in proportion to the gain."""
-        return self.errors < LARGEST_ERROR * self.numbers
+    def over_gain(self) -> Array:
+        """Numbers (n, u) of all joints: the gain [N m/rad], and the others as in ``unknowns``."""
+        numbers = numbers_at(self.x)
+        numbers[:, column("gain")] *= self.likely_gain
+        return numbers
 
 
-def fit_servos(robot: RobotModel, pieces: Sequence[Recording]) -> ServoFit:
-    """Return the servo numbers that solve the equations best, with one delay for all joints.
+def likely_gains(robot: RobotModel) -> Array:
+    """Return gains (n,) before the data: the model's, or those of usual servos [N m/rad]."""
+    in_model = servos_in_model(robot).numbers[0]
+    inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
+    usual = np.median(inertia) * usual_errors.SERVO_BANDWIDTH**2
+    return np.where(np.isfinite(in_model), in_model, usual)
 
-    The delay is found first. Links then show the gains of the joints that carry them, and the
-    others' are taken to be like these. Joints that do not move keep the model's numbers.
+
+class ArmFit:
+    """The search for all numbers of an arm, pass by pass.
+
+    Args:
+        robot: the arm as in the model file.
+        pieces: of logs, which have commands.
+        progress: receives what is fitted and the error so far.
     """
-    equations = LoopEquations(robot, pieces)
-    moves = equations.moves
-    equations.search_delay()
-    for _ in range(SEARCHES):
-        before = np.append(equations.limits, equations.dead_zones)
-        equations.search_shapes()
-        after = np.append(equations.limits, equations.dead_zones)
-        if np.allclose(after, before, rtol=1.0 - NEAR_LIMIT, atol=DEAD_ZONE_DIGITS):
-            break
-        equations.search_delay(np.maximum(equations.delay + NEARBY, 0.0))
-    if np.any(np.isfinite(equations.limits)):
-        equations.leave_out_limited()
-        equations.search_delay(np.maximum(equations.delay + NEARBY, 0.0))
-    delay = equations.delay
-    in_model = servos_in_model(robot).numbers
-    has_gain = np.isfinite(in_model[0])
-    compliance = equations.values[:, 0]
-    compliance_error = np.sqrt(equations.covariances[:, 0, 0])
-    has_scale = compliance_error < LARGEST_ERROR * compliance
-    equations.gain_error[:] = usual_errors.SERVO_GAIN
-    if np.any(has_scale):
-        equations.gain *= np.median(1.0 / (compliance * equations.gain)[has_scale])
-        equations.gain_error[has_gain] = usual_errors.SERVO_GAIN_SPREAD
-    equations.solve_at(delay)
-    values = equations.values
-    searched = np.sqrt(equations.covariances[:, -1, -1])
-    covariances = equations.covariances[:, :N_VALUES, :N_VALUES]
 
-    found = np.where(
-        moves, 1.0 / np.maximum(values[:, 0], LEAST_COMPLIANCE), equations.gain
+    def __init__(
+        self, robot: RobotModel, pieces: Sequence[Recording], progress: Progress
+    ) -> None:
+        self._progress = progress
+        ranges = [np.ptp(piece.q, axis=0) for piece in pieces]
+        self.moving = np.flatnonzero(np.max(ranges, axis=0) > LEAST_MOTION)
+        self.likely_gain = likely_gains(robot)[self.moving]
+        self._tracks = {}
+        for length in (SHORT, LONG):
+            tracks = make_tracks(robot, pieces, length, MOST_WINDOWS)
+            is_moving = np.isin(tracks.joint, self.moving)
+            self._tracks[length] = tracks.at(np.flatnonzero(is_moving))
+        shape = (len(self.moving), len(NAMES))
+        self.mean = np.zeros(shape)
+        self.deviation = np.ones(shape)
+
+    def problem(
+        self, length: float, free: Sequence[str], with_links: bool, copies: int = 1
+    ) -> PlayedFit:
+        """Return the search of some unknowns in windows of a length, of copies of each joint."""
+        tracks = self._tracks[length]
+        count = len(tracks)
+        own = np.searchsorted(self.moving, tracks.joint)
+        copy = np.repeat(np.arange(copies), count)
+        return PlayedFit(
+            tracks.at(np.tile(np.arange(count), copies)),
+            np.tile(own, copies) + copy * len(self.moving),
+            np.tile(self.likely_gain, copies),
+            np.tile(self.mean, (copies, 1)),
+            np.tile(self.deviation, (copies, 1)),
+            np.isin(NAMES, free),
+            with_links,
+        )
+
+    def search(self, label: str, free: Sequence[str], base: Array) -> Solved:
+        """Return the best of the searches in short windows that begin at the best draws.
+
+        Args:
+            label: what is fitted, for the progress.
+            free: names of the unknowns that are searched.
+            base: (n, u) of the others, and one place to begin.
+        """
+        problem = self.problem(SHORT, free, False)
+        report = self._report(label)
+        places = problem.begin(self._draws(free, base), BEGINNINGS)
+        rough = self._best_of(free, places, FIRST_PASSES, report)
+        # Servos of one arm are alike, and have one delay: where one joint ended, another one may
+        # begin.
+        others = np.stack([np.tile(x, (len(base), 1)) for x in rough.at.x])
+        again = self._draws(free, base)
+        for name in COMMON:
+            time, _ = common(name, rough.at.x, rough.covariance)
+            again[:, :, column(name)] = time / DEVIATIONS[column(name)]
+        candidates = np.concatenate((rough.at.x[None], others, again))
+        places = problem.begin(candidates, BEGINNINGS)
+        return self._best_of(free, places, PASSES, report)
+
+    def _draws(self, free: Sequence[str], base: Array) -> Array:
+        """Return sets of unknowns (v, n, u) as they are known before; the first is the base."""
+        rng = np.random.default_rng(0)
+        drawn = self.mean + self.deviation * rng.normal(size=(DRAWS, *base.shape))
+        drawn = np.where(drawn > LEAST, drawn, np.abs(drawn))
+        is_drawn = np.isin(NAMES, free) & (np.arange(DRAWS) > 0)[:, None, None]
+        return np.where(is_drawn, drawn, base)
+
+    def _best_of(
+        self,
+        free: Sequence[str],
+        places: Sequence[Searched],
+        passes: int,
+        report: Callable[[int, int, Array], None],
+    ) -> Solved:
+        """Return the best of each joint's searches from several places, in short windows."""
+        count = len(places)
+        search = self.problem(SHORT, free, False, count).search
+        solved = search(_joined(places), passes, report)
+        n = len(self.moving)
+        best = np.argmin(solved.cost.reshape(count, n), axis=0) * n + np.arange(n)
+        return _picked(solved, best)
+
+    def refine(
+        self, label: str, free: Sequence[str], x: Array, with_links: bool
+    ) -> Solved:
+        """Return the search in long windows that begins at x (n, u)."""
+        problem = self.problem(LONG, free, with_links)
+        tracks = problem.tracks
+        links = np.zeros((len(x), len(tracks.errors)))
+        begin = Searched(x, links, np.zeros((2, len(tracks))))
+        solved = problem.search(begin, report=self._report(label))
+        # A limit that no motion reaches may be any larger one.
+        k = column("torque_limit")
+        is_beyond = problem.rise(solved.at, "torque_limit") < SHOWN
+        solved.covariance[is_beyond, k] = 0.0
+        solved.covariance[is_beyond, :, k] = 0.0
+        solved.covariance[is_beyond, k, k] = 1.0
+        return solved
+
+    def know(self, name: str, mean: Array | float, deviation: Array | float) -> None:
+        """State what is known of an unknown: mean in its deviations from its own, and deviation."""
+        self.mean[:, column(name)] = mean
+        self.deviation[:, column(name)] = deviation
+
+    def know_time(self, name: str, time: float, error: float) -> None:
+        """State a time that all joints share, and its standard error [s]."""
+        scale = UNKNOWNS[name].deviation
+        self.know(name, time / scale, max(error / scale, FIXED))
+
+    def with_delay(self, x: Array) -> Array:
+        """Return unknowns x (n, u) with the delay of all joints."""
+        k = column("command_delay")
+        x = x.copy()
+        x[:, k] = self.mean[:, k]
+        return x
+
+    def _report(self, label: str) -> Callable[[int, int, Array], None]:
+        """Return a function that shows passes and the error so far."""
+
+        def report(done: int, total: int, error: Array) -> None:
+            """Show how far a search is."""
+            text = f"best position error {1e3 * np.sqrt(np.mean(error**2)):.2g} mrad"
+            self._progress.advance(label, done, total, text)
+
+        return report
+
+
+def _joined(places: Sequence[Searched]) -> Searched:
+    """Return places of copies of problems, one after the other."""
+    return Searched(
+        np.concatenate([place.x for place in places]),
+        np.concatenate([place.links for place in places]),
+        np.concatenate([place.start for place in places], axis=1),
     )
-    numbers = found * values.T
-    numbers[0] = found
-    # The derivative of each number by the joint's values.
-    slopes = found[:, None, None] * np.eye(N_VALUES)
-    slopes[:, :, 0] = -(numbers * found).T
-    variance = np.einsum("kij,kjl,kil->ik", slopes, covariances, slopes)
-    period = longest_period(pieces)
-    frequency = np.sqrt(found / (numbers[3] + equations.inertia))
-    is_fast = moves & (max(period, SHORTEST_PERIOD) * frequency > FASTEST_TURN)
-    # Over the gain, by which all numbers of the joint are off alike.
-    at_speed = np.array([0.0, 1.0, 1.0, 0.0])
-    doubt = np.sqrt(at_speed @ covariances @ at_speed)
-    resists = doubt < LARGEST_ERROR * (values @ at_speed)
-    is_known = is_fast | (resists & ~equations.is_mostly_limited)
-    delay_error = equations.delay_error(equations.shows_delay & is_known)
-    by_samples = SAMPLING_DELAY * period
-    by_limits = LIMIT_DELAY if np.any(equations.limited_share > 0.0) else 0.0
-    # The equations of a fast servo are wrong, and show no limit.
-    shares = equations.limited_share[moves & ~is_fast]
-    if np.sum(shares) > MOST_LIMITED * len(shares):
-        by_limits = np.inf
-    # The equations of a fast servo are wrong, and what bends them is no limit and no dead zone.
-    has_dead_zone = ~is_fast & (equations.dead_zones > 0.0)
-    by_sticking = STICKING_DEAD_ZONE * values[:, 2]
-    dead_zone_error = np.hypot(np.hypot(searched, CREEP_DEAD_ZONE), by_sticking)
+
+
+def _picked(solved: Solved, chosen: NDArray[np.int64]) -> Solved:
+    """Return what was found of some problems, without the starts."""
+    at = Searched(solved.at.x[chosen], solved.at.links[chosen], np.zeros((2, 0)))
+    return Solved(
+        at, solved.error[chosen], solved.cost[chosen], solved.covariance[chosen]
+    )
+
+
+def common(name: str, x: Array, covariance: Array) -> tuple[float, float]:
+    """Return a time that all joints share, and its standard error [s].
+
+    Args:
+        name: of the delay or the lag.
+        x: (n, u) of each joint by itself.
+        covariance: of x (n, u + J, u + J).
+    """
+    k = column(name)
+    own = DEVIATIONS[k] * x[:, k]
+    errors = np.hypot(DEVIATIONS[k] * np.sqrt(covariance[:, k, k]), LEAST_TIME_ERROR)
+    # One joint that ended elsewhere than the others moves no median.
+    middle = _weighted_median(own, errors**-2.0)
+    weights = np.hypot(errors, own - middle) ** -2.0
+    time = float(np.sum(weights * own) / np.sum(weights))
+    # Where most joints differ by more than their errors, so is the time less sure.
+    spread = NORMAL_MEDIAN * np.median(np.abs(own - time) / errors)
+    error = float(np.sum(weights) ** -0.5 * max(1.0, spread))
+    return time, max(error, LEAST_TIME_ERROR)
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    """Return the value up to which half of the weights are."""
+    order = np.argsort(values)
+    share = np.cumsum(weights[order]) / np.sum(weights)
+    return float(values[order][np.searchsorted(share, 0.5)])
+
+
+def fit_servos(
+    robot: RobotModel,
+    pieces: Sequence[Recording],
+    progress: Progress,
+    before: ServoFit | None = None,
+) -> ServoFit:
+    """Return the numbers with which an arm plays pieces of its logs best.
+
+    Joints that do not move keep the model's numbers.
+
+    Args:
+        robot: the arm as in the model file.
+        pieces: of logs, which have commands.
+        progress: receives what is fitted and the error so far.
+        before: of a part of these pieces, in which the same joints move: where the search begins,
+            and what is known of delay and gains.
+    """
+    arm = ArmFit(robot, pieces, progress)
+    n = robot.n_joints
+    if before is None:
+        start = np.zeros_like(arm.mean)
+        first = arm.search("Servos, each joint by itself", NAMES, start)
+        for name, spread in COMMON.items():
+            time, error = common(name, first.at.x, first.covariance)
+            arm.know_time(name, time, float(np.hypot(error, spread)))
+            if name == "command_delay":
+                delay, delay_error = time, error
+        _liken_gains(robot, arm, first)
+        x = first.at.x
+    else:
+        arm.mean = before.mean
+        arm.deviation = before.deviation
+        delay, delay_error = before.delay, before.delay_error
+        x = before.x[arm.moving]
+    second = arm.refine("Servos, in long windows", NAMES, arm.with_delay(x), True)
+    mean, deviation = arm.mean.copy(), arm.deviation.copy()
+    arm.know_time("command_delay", delay, 0.0)
+    base = second.at.x.copy()
+    for name in set(NAMES) - {*IN_FILE, "command_delay"}:
+        base[:, column(name)] = 0.0
+    base = arm.with_delay(base)
+    if before is None:
+        base = arm.search("What the file holds", IN_FILE, base).at.x
+    else:
+        base = before.held_x
+    held = arm.refine("What the file holds, in long windows", IN_FILE, base, False)
+    likely = likely_gains(robot)
+    whole = np.zeros((n, len(NAMES)))
+    covariance = np.tile(np.eye(len(NAMES)), (n, 1, 1))
+    given_links = covariance.copy()
+    whole[arm.moving] = second.at.x
+    covariance[arm.moving] = second.covariance[:, : len(NAMES), : len(NAMES)]
+    given_links[arm.moving] = _given_links(second.covariance)
+    is_known = np.isin(np.arange(n), arm.moving)
+    misfit = np.diag(LEAST_ERRORS**2)
     return ServoFit(
-        numbers=np.where(moves | np.isnan(in_model), numbers, in_model),
-        errors=np.sqrt(variance),
-        delay=delay,
-        dead_zones=np.where(has_dead_zone, equations.dead_zones, 0.0),
-        is_fast=is_fast,
+        x=whole,
+        covariance=covariance + misfit,
+        given_links=given_links + misfit,
+        likely_gain=likely,
         is_known=is_known,
-        delay_error=float(np.hypot(np.hypot(by_samples, by_limits), delay_error)),
-        dead_zone_errors=has_dead_zone * dead_zone_error,
-        limited_share=np.where(is_fast, 0.0, equations.limited_share),
+        in_file=_in_file(robot, arm, held, delay),
+        held_x=held.at.x,
+        mean=mean,
+        deviation=deviation,
+        delay=delay,
+        delay_error=delay_error,
     )
+
+
+def _given_links(covariance: Array) -> Array:
+    """Return the covariance (n, u, u) of unknowns if the link errors beside them were known.
+
+    Args:
+        covariance: of unknowns and link errors (n, u + J, u + J).
+    """
+    u = len(NAMES)
+    own = covariance[:, :u, :u]
+    shared = covariance[:, :u, u:]
+    return np.asarray(
+        own - shared @ np.linalg.solve(covariance[:, u:, u:], np.swapaxes(shared, 1, 2))
+    )
+
+
+def _liken_gains(robot: RobotModel, arm: ArmFit, first: Solved) -> None:
+    """Let joints whose gain does not show have that of the others, over the model's."""
+    k = column("gain")
+    factor = DEVIATIONS[k] * first.at.x[:, k]
+    error = DEVIATIONS[k] * np.sqrt(first.covariance[:, k, k])
+    shows = error < LARGEST_ERROR
+    if not np.any(shows):
+        return
+    common = np.median(factor[shows])
+    spread = usual_errors.SERVO_GAIN_SPREAD
+    has_gain = np.isfinite(servos_in_model(robot).numbers[0])[arm.moving]
+    width = np.where(has_gain, spread / DEVIATIONS[k], 1.0)
+    arm.know("gain", common / DEVIATIONS[k], width)
+
+
+def _in_file(
+    robot: RobotModel, arm: ArmFit, held: Solved, delay: float
+) -> ServoParameters:
+    """Return what a model file holds; joints that do not move keep the model's numbers."""
+    in_model = servos_in_model(robot)
+    numbers = in_model.numbers.copy()
+    limits = chain_actuators(robot).limit.copy()
+    found = numbers_at(held.at.x)
+    gain = found[:, column("gain")] * arm.likely_gain
+    columns = [column(name) for name in ("damping", "frictionloss", "armature")]
+    numbers[0, arm.moving] = gain
+    numbers[1:, arm.moving] = gain * found[:, columns].T
+    k = column("torque_limit")
+    shows = DEVIATIONS[k] * np.sqrt(held.covariance[:, k, k]) < LARGEST_ERROR
+    reached = gain * found[:, k]
+    limits[arm.moving] = np.where(
+        shows, reached, np.maximum(limits[arm.moving], reached)
+    )
+    servo_damping = in_model.servo_damping.copy()
+    servo_damping[arm.moving] = 0.0
+    firmness = in_model.firmness.copy()
+    firmness[arm.moving] = FIRM
+    return ServoParameters(numbers, delay, limits, servo_damping, firmness)

@@ -1,8 +1,7 @@
 """Signals of the closed loop: commands, and what is left between them and the positions.
 
-Positions, commands and all columns pass the same short Gaussian. The low-pass of measured torques
-(``signals``) reaches half a second to both sides at a cut-off of 5 Hz: samples at a servo's torque
-limit and near standstill, which are left out one by one, would be in most rows.
+Positions pass a short Gaussian. The low-pass of measured torques (``signals``) reaches half a
+second to both sides at a cut-off of 5 Hz: as long as a whole move of a servo.
 
 n is the number of joints, M that of samples of all pieces.
 """
@@ -77,37 +76,13 @@ def low_pass_motion(piece: Recording) -> tuple[Array, Array, Array]:
     return low_pass(piece.time, piece.q), qd, qdd
 
 
-def low_pass_pieces(pieces: Sequence[Recording], values: Array) -> Array:
-    """Return values (M, ...) of all samples of pieces, each piece behind the low-pass."""
-    ends = np.cumsum([len(piece) for piece in pieces])
-    parts = np.split(values, ends[:-1])
-    smooth = [low_pass(piece.time, part) for piece, part in zip(pieces, parts)]
-    return np.concatenate(smooth)
-
-
 def distances(pieces: Sequence[Recording], delay: float) -> Array:
-    """Return the distance (M, n) from each position to its command of ``delay`` [s] before, behind
-    the low-pass.
-    """
-    return low_pass_pieces(pieces, raw_distances(pieces, delay))
-
-
-def raw_distances(pieces: Sequence[Recording], delay: float) -> Array:
     """Return the distance (M, n) from each position to its command of ``delay`` [s] before."""
-    from scipy.interpolate import make_interp_spline
-
-    distances = []
+    found = []
     for piece in pieces:
-        # Commands that hold until the next one are, below half of the sampling rate, a smooth curve
-        # through the middles of their periods, whose means over a period they are: the mean of a
-        # curve over a step h is its middle value plus h^2/24 of its second derivative.
-        held = commands(piece).copy()
-        held[1:-1] += np.diff(held, 2, axis=0) / 24.0
-        middle = 0.5 * sampling_period(piece.time)
-        curve = make_interp_spline(piece.time + middle, held)
-        at = np.maximum(piece.time - delay, piece.time[0] + middle)
-        distances.append(curve(at) - piece.q)
-    return np.concatenate(distances)
+        at = np.searchsorted(piece.time, piece.time - delay, side="right") - 1
+        found.append(commands(piece)[np.maximum(at, 0)] - piece.q)
+    return np.concatenate(found)
 
 
 def goal_error(pieces: Sequence[Recording]) -> float:

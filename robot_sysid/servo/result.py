@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,55 +15,49 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
 from robot_sysid.mjcf.updated_model import ElementChange
-from robot_sysid.records import Array, DataOrigin, RobotModel, file_access
-from robot_sysid.records.quantities import DATA, MODEL, Quantity
-from robot_sysid.results.table import cells, label, table_lines
+from robot_sysid.records import Array, DataOrigin, RobotModel
+from robot_sysid.records.messages import aligned_lines, number_text
+from robot_sysid.records.quantities import FILE, MODEL, Quantity
+from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.results.written_model import versions
-from robot_sysid.servo.equations import LINK_ERROR
+from robot_sysid.servo.advice import Advice, advice_lines, advice_of
+from robot_sysid.servo.derived import Derived, absolute_numbers, derived_numbers
 from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.loop import rms
-from robot_sysid.servo.windows import WINDOW
+from robot_sysid.servo.play import LINK_ERROR
+from robot_sysid.servo.unknowns import SLIP_SPEED
 from robot_sysid.simulation.playback import chain_actuators, early_by, servos_in_model
 
-SERVO_SCHEMA = "robot-sysid servo 5"
+SERVO_SCHEMA = "robot-sysid servo 6"
 """Name and version of the format of servo.json."""
 WITHOUT_TORQUE = (
-    "No torque was measured: all of this follows from commanded and measured positions, and from "
-    "the masses of the model, which fix its scale (the errors include links that are "
-    f"off by {100.0 * LINK_ERROR:.0f} %)"
+    "No torque was measured: all of this follows from commanded and measured positions, and "
+    "absolute sizes from the masses of the model, which fix their scale (the errors include links "
+    f"that are off by {100.0 * LINK_ERROR:.0f} %)"
 )
-UNITS = {
+IN_FILE = {
     "gain": "N·m/rad",
     **{term.attribute: term.units[0] for term in (VISCOUS, COULOMB, ROTOR)},
 }
-"""The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
-STILL = (
-    "the joint moves too little or too slowly in these logs, or its servo is nearly always at its "
-    "torque limit: it keeps the model's numbers"
-)
+"""Numbers of a joint in a model file, in the order of ``ServoParameters``, and their units."""
+LIMIT = "torque_limit"
+"""Name of the largest torque of a servo."""
+STILL = "the joint does not move in these logs: it keeps the model's numbers"
 """Reason of a joint's numbers that nothing shows."""
-LIMITED = (
-    "its servo is at its torque limit in most of its motion: it keeps the model's numbers; move it "
-    "more gently"
-)
-"""Reason of a joint's numbers of which too few samples beside the limit are left."""
-MOSTLY = 0.5
-"""Share of limited samples from which the limit is the reason that nothing is known."""
-LEAST_LIMITED = 0.005
-"""Share of samples at a limit from which it is worth a sentence."""
-UNTIMED = (
-    "the servos are at their torque limits for so long that it is not known, and the one that is "
-    "printed may be tens of milliseconds off; move the arm more gently"
-)
-"""Reason of a delay that is not known."""
-WORSE = (
-    "what was found predicts positions worse than the model's numbers, which all stay"
-)
+WORSE = "a model with what was found predicts positions worse than the model's numbers, which stay"
 """Reason of numbers that held-out windows, or fitted ones, speak against."""
 NOT_ALONE = (
     "these logs do not show its absolute size, only ratios of the joint's numbers"
 )
 """Reason of a number that goes with the joint's others."""
+TAKEN = "taken to be that of all servos"
+"""Reason of a number that is not searched."""
+NOT_SHOWN = "these logs do not show it"
+"""Reason of a number that is no more than what is usual."""
+LARGEST_ERROR = 0.4
+"""Relative standard error up to which a number is identified."""
+SHOWN_WEIGHT = 0.1
+"""Largest error, over the largest weight of a joint over its gain, of the sag that is printed."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +66,16 @@ class ServoIdentification:
 
     Attributes:
         robot: the arm as in the model file.
-        fit: the numbers that are written; joints that do not move or that are predicted worse by
-            what was found keep all of the model's.
-        is_new: (n,) whether the numbers of a joint are not the model's.
+        fit: what was found.
+        is_new: (n,) whether the numbers of a joint in the written model are new; those of joints
+            that do not move, or that are predicted worse by what was found, are the model's.
         data: the logs.
         before, after: (n,) root mean square position errors of the models before and after, played
             on held-out windows [rad or m].
+        fitted: (n,) the same of the model after on windows that were fitted.
         goal: error of the commands of some time before, where that fits best [rad or m].
+        window: length of the held-out windows [s].
+        setting: of the recording whose gains are stated.
         notes: sentences for the user.
     """
 
@@ -87,59 +85,106 @@ class ServoIdentification:
     data: DataOrigin
     before: Array
     after: Array
+    fitted: Array
     goal: float
+    window: float
+    setting: ServoSetting
     notes: tuple[str, ...]
 
     @property
     def quantities(self) -> Iterator[Quantity]:
-        """Yield the delay of the commands, dead zones, then each of ``UNITS`` of all joints.
+        """Yield the delay of the commands, what needs no scale, absolute sizes, the speed over
+        which the Stribeck part fades, then the file's.
 
         A gain of a joint without a position actuator has a NaN model.
         """
         fit = self.fit
         in_steps = fit.delay + early_by(self.robot)
-        source, reason = (MODEL, UNTIMED) if np.isinf(fit.delay_error) else (DATA, "")
         delays = {"command_delay": fit.delay, "simulated_delay": in_steps}
         for name, delay in delays.items():
-            error = fit.delay_error
-            yield Quantity(name, "arm", "s", None, delay, error, source, reason)
-        for k in np.flatnonzero(fit.dead_zones).tolist():
-            found = fit.dead_zones[k], fit.dead_zone_errors[k]
-            yield Quantity("dead_zone", self.robot.joint_names[k], "rad", 0.0, *found)
-        before = servos_in_model(self.robot).numbers
-        is_limited = ~fit.is_known & (fit.limited_share > MOSTLY)
-        cases = [is_limited, ~fit.is_known, ~self.is_new, ~fit.is_shown]
-        reasons = np.select(cases, [LIMITED, STILL, WORSE, NOT_ALONE], "")
-        arrays = before, fit.numbers, fit.errors, reasons
-        for (name, unit), *rows in zip(UNITS.items(), *arrays):
-            for of, model, value, error, reason in zip(self.robot.joint_names, *rows):
-                source = MODEL if reason else DATA
-                yield Quantity(name, of, unit, model, value, error, source, reason)
+            yield Quantity(name, "arm", "s", None, delay, fit.delay_error)
+        joints = self.robot.joint_names
+        in_model = self._in_model()
+        for name, found in derived_numbers(self.robot, fit).items():
+            yield from self._rows(name, found, None, NOT_SHOWN)
+        for name, found in absolute_numbers(fit).items():
+            yield from self._rows(name, found, in_model.get(name), NOT_ALONE)
+        yield Quantity(
+            "slip_speed", "arm", "rad/s", None, SLIP_SPEED, None, MODEL, TAKEN
+        )
+        in_file = dict(zip(IN_FILE, fit.in_file.numbers))
+        in_file[LIMIT] = fit.in_file.limits
+        for name, unit in (*IN_FILE.items(), (LIMIT, "N·m")):
+            for k, of in enumerate(joints):
+                if self.is_new[k]:
+                    model = float(in_model[name][k])
+                    value = float(in_file[name][k])
+                    yield Quantity(name, of, unit, model, value, None, FILE)
+
+    def _in_model(self) -> dict[str, Array]:
+        """Return name to numbers (n,) of the joints in the model."""
+        servos = servos_in_model(self.robot)
+        return {**dict(zip(IN_FILE, servos.numbers)), LIMIT: servos.limits}
+
+    def _rows(
+        self, name: str, found: Derived, model: Array | None, reason: str
+    ) -> Iterator[Quantity]:
+        """Yield the rows of one number of all joints; what is not shown has the reason."""
+        for k, of in enumerate(self.robot.joint_names):
+            in_model = None if model is None else float(model[k])
+            value = float(found.values[k])
+            error = float(found.errors[k])
+            if not self.fit.is_known[k]:
+                yield Quantity(
+                    name, of, found.unit, in_model, value, np.inf, MODEL, STILL
+                )
+            elif model is not None and error > LARGEST_ERROR * value:
+                yield Quantity(
+                    name, of, found.unit, in_model, value, error, MODEL, reason
+                )
+            else:
+                yield Quantity(name, of, found.unit, in_model, value, error)
 
     @property
     def is_better(self) -> bool:
         """Whether the new model plays held-out windows better than all that there is without it."""
         return rms(self.after) < min(rms(self.before), self.goal)
 
+    @property
+    def traces(self) -> None:
+        """Torques over time, which nothing measured."""
+
+    @cached_property
+    def advice(self) -> list[Advice]:
+        """Which gains leave less dead band and sag."""
+        return advice_of(self.robot, self.fit, self.setting)
+
+    @property
+    def expected(self) -> float:
+        """Position error to expect on other motions: a short end of a log may be an easy one."""
+        return max(rms(self.after), rms(self.fitted))
+
     def changes(self) -> Iterator[ElementChange]:
         """Yield the changes of the model file's joints and of their position actuators.
 
-        Of the damping of joint and servo together, the servo gets its share in the model as its kv,
-        the joint the remainder. An actuator's numbers are those at the motor: a gear g makes them
-        g^2 times as large at the joint.
+        All damping is that of the joint, beside the servo's limit of torque, as back-EMF is. An
+        actuator's numbers are those at the motor: a gear g makes its gains g^2 times as large at
+        the joint, and its torque g times.
         """
         actuators = chain_actuators(self.robot)
-        for k in np.flatnonzero(self.is_new):
-            numbers = dict(zip(UNITS, self.fit.numbers[:, k]))
+        servos = self.fit.in_file
+        for k in np.flatnonzero(self.is_new).tolist():
+            numbers = dict(zip(IN_FILE, servos.numbers[:, k].tolist()))
             stiffness = numbers.pop("gain")
-            kv = actuators.damping_share[k] * numbers["damping"]
-            numbers["damping"] -= kv
+            numbers["solimpfriction"] = float(servos.firmness[k])
             yield ElementChange("joint", self.robot.joint_names[k], numbers)
             if np.isfinite(actuators.stiffness[k]):
-                squared_gear = actuators.gear[k] ** 2
-                gains = {"kp": stiffness / squared_gear}
-                if kv:
-                    gains["kv"] = kv / squared_gear
+                gear = float(actuators.gear[k])
+                gains = {"kp": stiffness / gear**2}
+                if actuators.damping_share[k]:
+                    gains["kv"] = 0.0
+                if np.isfinite(servos.limits[k]):
+                    gains["forcerange"] = float(servos.limits[k]) / abs(gear)
                 yield ElementChange("actuator", int(actuators.index[k]), gains)
 
     def json_content(self) -> dict[str, Any]:
@@ -147,9 +192,17 @@ class ServoIdentification:
         return {
             "schema": SERVO_SCHEMA,
             "torque": WITHOUT_TORQUE,
+            "setting": str(self.setting),
             "quantities": [*self.quantities],
             "joint_names": self.robot.joint_names,
-            "rollout": {"before": self.before, "after": self.after, "goal": self.goal},
+            "advice": [advice.json_content() for advice in self.advice],
+            "rollout": {
+                "window": self.window,
+                "before": self.before,
+                "after": self.after,
+                "fitted": self.fitted,
+                "goal": self.goal,
+            },
             "source": self.data.description,
             "duration": self.data.duration,
             "model": {"path": str(self.robot.path), "sha256": self.robot.sha256},
@@ -158,41 +211,90 @@ class ServoIdentification:
         }
 
 
+COLUMNS = {
+    "dead_band": ("dead band, deg", 180.0 / np.pi),
+    "sag": ("sag, deg", 180.0 / np.pi),
+    "friction_over_gain": ("friction/gain, deg", 180.0 / np.pi),
+    "even_speed": ("viscous = dry at, rad/s", 1.0),
+    "torque_over_weight": ("torque/weight", 1.0),
+    "gain": ("gain, N·m/rad", 1.0),
+    LIMIT: ("torque limit, N·m", 1.0),
+    "damping": ("damping, N·m·s/rad", 1.0),
+    "frictionloss": ("dry friction, N·m", 1.0),
+    "armature": ("rotor, kg·m²", 1.0),
+    "load_share": ("friction/load", 1.0),
+}
+"""Name of a number to the heading of its column in the printed tables, and its factor there."""
+RATIOS = tuple(COLUMNS)[:5]
+"""Numbers that need no scale."""
+SIZES = tuple(COLUMNS)[5:]
+"""Numbers whose scale is that of the model's masses."""
+NOTHING = 1e-9
+"""Size below which a number is rounding, as the sag of a joint that carries no weight."""
+UNKNOWN = "?"
+"""Cell of a number that the logs do not show."""
+
+
 def servo_lines(result: ServoIdentification) -> Iterator[str]:
-    """Yield the printed lines of a result: the table of its numbers, and errors of rollouts."""
-    yield "Servos, friction and rotor inertia (prior: the logs do not show a number alone):"
-    yield f"  {WITHOUT_TORQUE}."
-    rows = file_access.strict_json([*result.quantities])
-    yield from table_lines(cells(row, f"{row['of']} {label(row)}") for row in rows)
+    """Yield the printed lines of a result: the tables of its numbers, and errors of rollouts."""
+    rows = {(row.name, row.of): row for row in result.quantities if row.source != FILE}
+    yield f"Servos (± one standard error; {UNKNOWN}: these logs do not show it):"
+    for name in ("command_delay", "simulated_delay"):
+        row = rows[name, "arm"]
+        error = row.error or 0.0
+        value = number_text(row.value, error) if row.value else "0.0000"
+        yield f"  arm {name.replace('_', ' ')}  {value}  {number_text(error, error)}  s"
+    yield from _matrix(result, rows, RATIOS)
+    yield f"  {WITHOUT_TORQUE}:"
+    yield from _matrix(result, rows, SIZES)
+    yield from advice_lines(result.advice)
     yield (
-        f"Played on held-out windows of {WINDOW:g} s: root mean square position error "
+        f"Played on held-out windows of {result.window:.2g} s: root mean square position error "
         f"{rms(result.before):.3g} rad of the model before, {rms(result.after):.3g} of the new "
-        f'one, {result.goal:.3g} of "position = command of some time before"'
+        f'one, {result.goal:.3g} of "position = command of some time before". On other motions '
+        f"expect {result.expected:.2g} rad: the larger of this and {rms(result.fitted):.3g} on "
+        "what was fitted"
     )
+
+
+def _matrix(
+    result: ServoIdentification,
+    rows: dict[tuple[str, str], Quantity],
+    names: tuple[str, ...],
+) -> Iterator[str]:
+    """Yield lines with a row for each joint and a column for each number."""
+    table = [["", *(COLUMNS[name][0] for name in names)]]
+    for joint in result.robot.joint_names:
+        cells = []
+        for name in names:
+            row = rows[name, joint]
+            factor = COLUMNS[name][1]
+            cells.append(_cell(factor * row.value, factor * (row.error or 0.0)))
+        table.append([joint, *cells])
+    for line in aligned_lines(table):
+        yield f"  {line}"
+
+
+def _cell(value: float, error: float) -> str:
+    """Return a number with its error, or that it is not shown."""
+    if abs(value) < NOTHING:
+        return "0"
+    if not error < LARGEST_ERROR * abs(value):
+        return UNKNOWN
+    return f"{number_text(value, error)} ± {number_text(error, error)}"
 
 
 def servo_notes(result: ServoIdentification) -> Iterator[str]:
     """Yield sentences on the weak points of a result."""
-    for row in result.quantities:
-        titles = {"gain": f"gain of {row.of}", "command_delay": "delay of the commands"}
-        if row.name in titles and row.reason:
-            yield f"{titles[row.name]}: {row.reason}"
-    fit = result.fit
-    for k in np.flatnonzero(
-        fit.is_known & (fit.limited_share > LEAST_LIMITED)
-    ).tolist():
-        yield (
-            f"the servo of {result.robot.joint_names[k]} reaches its torque limit: these "
-            f"{100.0 * fit.limited_share[k]:.0f} % of its motion are left out; gentler motion "
-            "shows more"
-        )
-    if np.any(fit.dead_zones):
-        yield (
-            "the written model has no dead zone, as MuJoCo has none: in a simulation, give the "
-            "servos q + e - clip(e, -dead_zone, dead_zone) with e = command - q"
-        )
+    names = np.array(result.robot.joint_names)
+    still = names[~result.fit.is_known]
+    if len(still):
+        yield f"{', '.join(still)}: {STILL}"
+    worse = names[result.fit.is_known & ~result.is_new]
+    if len(worse):
+        yield f"{', '.join(worse)}: {WORSE}"
     has_servo = np.isfinite(chain_actuators(result.robot).stiffness)
-    without = np.array(result.robot.joint_names)[result.is_new & ~has_servo]
+    without = names[result.is_new & ~has_servo]
     if len(without):
         yield (
             f"the model has no position actuator on {', '.join(without)}: the gain is printed, but "

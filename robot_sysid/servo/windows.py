@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.held_out import is_clearly_lower
-from robot_sysid.records import Array, Recording
+from robot_sysid.records import Array, Recording, RobotModel
+from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.servo.loop import commands, longest_period, low_pass_motion
+from robot_sysid.servo.setting import loaded, with_setting
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     MAX_WINDOWS,
@@ -29,8 +31,10 @@ from robot_sysid.simulation.playback import (
     interpolate,
 )
 
-WINDOW = 1.0
-"""Length of a window [s]."""
+WINDOW = 5.0
+"""Length of a window [s]; shorter where a piece of a log is."""
+LEAST_WINDOW = 0.1
+"""Length of a window below which a model is not judged [s]."""
 BEGINNING = 0.2
 """Least time at the beginning of a piece that is not played [s]: commands before it act there, late
 by the delay and by what a servo takes to follow."""
@@ -43,17 +47,19 @@ HIDDEN = 5e-4
 class ServoProblem:
     """Windows of logs and the position errors of rollouts in them.
 
-    Pieces of logs are cut into consecutive windows of ``WINDOW``. The beginning of each piece is
-    left out: commands before a window act in it. Of more than ``MAX_WINDOWS`` every second one is
-    taken, or every third.
+    Pieces of logs are cut into consecutive windows, all as long as ``WINDOW`` or as the shortest
+    piece. The beginning of each piece is left out: commands before a window act in it. Of more than
+    ``MAX_WINDOWS`` every second one is taken, or every third.
 
     Args:
-        rollouts: plays the windows on the arm's model.
+        robot: the arm as in the model file.
         pieces: of logs, which have commands.
+        first: setting of the recording whose gains servo parameters are.
         delay: of the commands, as far as it is known [s].
 
     Attributes:
-        rollouts: as given.
+        robot: as given.
+        length: of the windows [s].
         windows: start and commands of each window.
         times: (W, m) of the samples since the start of their window [s].
         measured: (W, m, n) positions measured then [rad or m].
@@ -62,46 +68,65 @@ class ServoProblem:
     """
 
     def __init__(
-        self, rollouts: ServoRollouts, pieces: Sequence[Recording], delay: float = 0.0
+        self,
+        robot: RobotModel,
+        pieces: Sequence[Recording],
+        first: ServoSetting,
+        delay: float = 0.0,
     ) -> None:
-        self.rollouts = rollouts
-        count = int(WINDOW / longest_period(pieces))
+        self.robot = robot
+        self._first = first
         unplayed = max(BEGINNING, delay + FOLLOWING)
+        shortest = min(piece.time[-1] - piece.time[0] for piece in pieces)
+        self.length = min(WINDOW, float(shortest) - unplayed)
+        if self.length < LEAST_WINDOW:
+            raise InputError(
+                "a log, or its last fifth, by which the result is judged, has only "
+                f"{max(self.length, 0.0):.2g} s after its beginning, and needs "
+                f"{LEAST_WINDOW:g} s; record longer"
+            )
+        count = int(self.length / longest_period(pieces))
         cut = []
         for piece in pieces:
             _, qd, _ = low_pass_motion(piece)
             beginning = round(unplayed / sampling_period(piece.time))
-            for first in range(beginning, len(piece) - count, count):
-                at = slice(first, first + count)
-                start = piece.time[first]
+            for begin in range(beginning, len(piece) - count, count):
+                at = slice(begin, begin + count)
+                start = piece.time[begin]
                 window = ServoWindow(
-                    start, piece.q[first], qd[first], piece.time, commands(piece)
+                    start, piece.q[begin], qd[begin], piece.time, commands(piece)
                 )
-                cut.append((window, piece.time[at] - start, piece.q[at]))
-        if not cut:
-            raise InputError(
-                "a log, or its last fifth, by which the result is judged, has no piece of "
-                f"{WINDOW:g} s after its beginning; record longer"
-            )
+                cut.append((window, piece.time[at] - start, piece.q[at], piece.setting))
         cut = cut[:: math.ceil(len(cut) / MAX_WINDOWS)]
-        self.windows, times, measured = zip(*cut)
+        self.windows, times, measured, settings = zip(*cut)
         self.times = np.array(times)
         self.measured = np.array(measured)
+        self._of_setting = {
+            setting: np.flatnonzero([setting == other for other in settings])
+            for setting in dict.fromkeys(settings)
+        }
+        self._rollouts = {
+            setting: ServoRollouts(loaded(robot, setting))
+            for setting in self._of_setting
+        }
 
     def errors(self, servos: ServoParameters, step: float = STEP) -> Array:
         """Return played minus measured positions (W, m, n), pi where a rollout has diverged.
 
         Args:
-            servos: the servo parameters.
+            servos: the servo parameters, with the first recording's setting.
             step: time step of the rollouts [s].
         """
         # Windows over lost samples are longer than others.
         edges = np.arange(0.0, np.max(self.times) + step, step)
-        q = self.rollouts.positions(servos, self.windows, edges)
-        played = [
-            interpolate(times, edges, own_q) for times, own_q in zip(self.times, q)
-        ]
-        return np.nan_to_num(np.array(played) - self.measured, nan=np.pi)
+        played = np.empty_like(self.measured)
+        for setting, chosen in self._of_setting.items():
+            own = with_setting(servos, setting, self._first)
+            windows = [self.windows[k] for k in chosen]
+            q = self._rollouts[setting].positions(own, windows, edges)
+            for k, of_window in zip(chosen.tolist(), q):
+                played[k] = interpolate(self.times[k], edges, of_window)
+        return np.nan_to_num(played - self.measured, nan=np.pi)
 
     def test(
         self, before: ServoParameters, after: ServoParameters, step: float = STEP

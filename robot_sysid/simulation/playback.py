@@ -10,18 +10,11 @@ release has it with several models at a time; older ones step in Python.
 
 Played are the commands of an arm behind position servos, whose torque is
 
-    tau = clip(Kp e - kv qd, +-limit) - (D - kv) qd - friction,
-    e = beyond(command(t - delay) - q, dead zone)
-
-Within its dead zone, the play of its gears, a servo gives no torque, and beyond it only for what is
-beyond. No actuator of MuJoCo does so: rollouts with a dead zone set a control that amounts to it
-before each step.
+    tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction.
 
 D is the damping of joint and servo together. The servo's part kv shows in the motion only while the
-servo is at its limit, so kv/D stays the model's: with kv itself kept, an arm of less damping would
-have none left at the limit, and swing. A command holds until the next one comes. A joint whose
-actuator the model does not have, or that has dynamics of its own, is pulled by a spring, and has no
-limit.
+servo is at its limit. A command holds until the next one comes. A joint whose actuator the model
+does not have, or that has dynamics of its own, is pulled by a spring, and has no limit.
 
 Shapes: n joints of the chain, base to terminal; W windows at a time; S steps in each.
 """
@@ -29,7 +22,7 @@ Shapes: n joints of the chain, base to terminal; W windows at a time; S steps in
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,12 +81,18 @@ class ServoParameters:
         numbers: (4, n) of each joint its gain Kp [N m/rad], its damping D, of joint and servo
             together [N m s/rad], its dry friction [N m] and its rotor inertia [kg m^2].
         delay: time by which all commands act late [s].
-        dead_zones: (n,) distance from the command within which a servo gives no torque [rad or m].
+        limits: (n,) largest torque of the servos, infinite where there is no limit [N m].
+        servo_damping: (n,) part kv of the damping that the servo gives, within its limit
+            [N m s/rad].
+        firmness: (n,) how firmly dry friction holds a joint, MuJoCo's impedance of it between 0
+            and 1: what is missing lets the joint creep.
     """
 
     numbers: Array
     delay: float
-    dead_zones: Array
+    limits: Array
+    servo_damping: Array
+    firmness: Array
 
 
 @dataclass(frozen=True)
@@ -155,15 +154,16 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
 
 
 def servos_in_model(robot: RobotModel) -> ServoParameters:
-    """Return the servo parameters that the model has: no delay, no dead zone, NaN gains without a
-    servo.
+    """Return the servo parameters that the model has: no delay, NaN gains without a servo.
 
     The damping is that of joint and servo together.
     """
     actuators = chain_actuators(robot)
     resistances = actuators.damping, robot.friction.coulomb, robot.armature
     numbers = np.stack((actuators.stiffness, *resistances))
-    return ServoParameters(numbers, 0.0, np.zeros(robot.n_joints))
+    kv = actuators.damping_share * actuators.damping
+    firmness = robot.mj_model.dof_solimp[robot.dof_index, 0]
+    return ServoParameters(numbers, 0.0, actuators.limit, kv, firmness)
 
 
 @dataclass(frozen=True)
@@ -195,11 +195,6 @@ def early_by(robot: RobotModel) -> float:
     if options.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
         return 0.0
     return 0.5 * float(options.timestep)
-
-
-def beyond(distance: Array, dead_zone: Array | float) -> Array:
-    """Return the part of distances from commands that is beyond a servo's dead zone."""
-    return distance - np.clip(distance, -dead_zone, dead_zone)
 
 
 def mean_commands(time: Array, command: Array, edges: Array) -> Array:
@@ -248,12 +243,7 @@ class ServoRollouts:
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
         self.actuators = chain_actuators(robot)
 
-    def play(
-        self,
-        starts: ArrayLike,
-        inputs: Array,
-        feedback: Callable[[int, Array], Array] | None = None,
-    ) -> Array:
+    def play(self, starts: ArrayLike, inputs: Array) -> Array:
         """Return chain positions (W, S + 1, n) in W windows, the start included.
 
         Positions are NaN from where a rollout diverged.
@@ -261,8 +251,6 @@ class ServoRollouts:
         Args:
             starts: (W, 2, n) positions, and velocities half a step before [rad, rad/s].
             inputs: (W, S, nu + nv) inputs of the model in each step.
-            feedback: returns inputs (W, 1, nu + nv) that replace those of a step, from its number
-                and the positions (W, n) at its start.
         """
         model = self.model
         data = self._data[0]
@@ -271,15 +259,7 @@ class ServoRollouts:
             set_chain_state(self.robot, model, data, q, qd)
             mujoco.mj_getState(model, data, state, _STATE)
         with captured_warnings():
-            if feedback is None:
-                states = self._run(first, inputs)
-            else:
-                states = np.empty((*inputs.shape[:2], first.shape[1]))
-                state = first
-                for step in range(inputs.shape[1]):
-                    q = state[:, 1 + self.robot.qpos_index]
-                    state = self._run(state, feedback(step, q))[:, 0]
-                    states[:, step] = state
+            states = self._run(first, inputs)
         # A state is the time, then the positions, then more.
         states = np.concatenate((first[:, None], states), axis=1)
         q = states[:, :, 1 + self.robot.qpos_index]
@@ -360,16 +340,8 @@ class ServoRollouts:
             commands.append(mean_commands(window.time, window.command, times))
         command = np.stack(commands)
         gain = servos.numbers[0]
-
-        def acting(step: int, q: Array) -> Array:
-            """Return the inputs whose servos without dead zones give what those with them give."""
-            distance = command[:, step] - q
-            moved = q + beyond(distance, servos.dead_zones)
-            return self._inputs(moved[:, None], gain)
-
         starts = [(window.q, window.qd) for window in windows]
-        feedback = acting if np.any(servos.dead_zones) else None
-        return self.play(starts, self._inputs(command, gain), feedback)
+        return self.play(starts, self._inputs(command, gain))
 
     def set_servos(self, servos: ServoParameters) -> None:
         """Write servo parameters into the model, over those of an earlier call.
@@ -383,7 +355,12 @@ class ServoRollouts:
         stiffness, damping, frictionloss, armature = servos.numbers
         model.dof_armature[dofs] = armature
         model.dof_frictionloss[dofs] = frictionloss
-        kv = actuators.damping_share * damping
+        # Dry friction of a file stays as it is where it is as firm as the file's.
+        in_file = self.robot.mj_model.dof_solimp[dofs, :2]
+        is_other = servos.firmness != in_file[:, 0]
+        firmness = servos.firmness[:, None]
+        model.dof_solimp[dofs, :2] = np.where(is_other[:, None], firmness, in_file)
+        kv = servos.servo_damping
         model.dof_damping[dofs] = damping - kv
         driven = actuators.index != NO_ACTUATOR
         ids = actuators.index[driven]
@@ -397,12 +374,12 @@ class ServoRollouts:
         plain = ids[[len(control_rows(model, actuator)) == 1 for actuator in ids]]
         model.actuator_gaintype[plain] = int(mujoco.mjtGain.mjGAIN_FIXED)
         model.actuator_gainprm[plain, 0] = -model.actuator_biasprm[plain, 1]
-        limit = actuators.limit[driven]
+        limit = servos.limits[driven]
         model.actuator_forcelimited[ids] = np.isfinite(limit)
         model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
         springs = model.dof_jntid[dofs][~driven]
-        in_file = self.robot.mj_model.jnt_stiffness[springs]
-        model.jnt_stiffness[springs] = in_file + stiffness[~driven]
+        own_stiffness = self.robot.mj_model.jnt_stiffness[springs]
+        model.jnt_stiffness[springs] = own_stiffness + stiffness[~driven]
         # As in a compiled file, dry friction is as firm as these rotor inertias make it.
         mujoco.mj_setConst(model, mujoco.MjData(model))
         # An implicit step damps the velocity at its end. Half a step of damping less of rotor

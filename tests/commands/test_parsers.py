@@ -23,14 +23,15 @@ from robot_sysid.records.option_fields import given_values
 from tests.test_config import CONFIGS
 
 IDENTIFY = COMMANDS["identify"]
-MOST_OPTIONS = 31
+MOST_OPTIONS = 32
 ARM = "an 'arm'.xml"
 MOTORS = ([ARM, "--export-damiao"], [ARM, "--motor-type", "DM4340"])
 LOGS = [ARM, "--empty", "a.csv", "--loaded", "b.csv"]
+LOGS_OF_ARM = [ARM, "a 'b'.csv", "c.csv"]
 CONTEXTS = {
     "": ([ARM], [ARM, "--plant-model", "truth.xml"], *MOTORS),
     "plan": ([ARM], *MOTORS),
-    "identify": ([ARM, "a 'b'.csv", "c.csv"],),
+    "identify": (LOGS_OF_ARM, [*LOGS_OF_ARM, "--torque-from", "position-error"]),
     "payload": (LOGS, [*LOGS, "--known-mass", "1"]),
 }
 """Command to words that others of its options may need."""

@@ -339,6 +339,53 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
             write_gains(document, number, kp=1.0, kv=1.0)
 
 
+@since(3, 1)
+@pytest.mark.parametrize("actuator", [1, 2])
+@pytest.mark.parametrize("limit", ["", 'forcerange="-3 7"', 'forcelimited="false"'])
+def test_a_largest_force_is_written_to_both_sides(tmp_path, actuator, limit):
+    """Whatever the file or a class of it says of the actuator's force."""
+    text = SERVOS.replace('kp="7" kv="1"', f'kp="7" kv="1" {limit}')
+    text = text.replace('gainprm="5"', f'gainprm="5" {limit}')
+    document = document_of(tmp_path, text)
+    written = write_gains(document, actuator, kp=40.0, kv=4.0, forcerange=2.5)
+    model = mujoco.MjModel.from_xml_string(written)
+    original = mujoco.MjModel.from_xml_string(text)
+    expected = original.actuator_forcerange.copy()
+    expected[actuator] = (-2.5, 2.5)
+    assert_array_equal(model.actuator_forcerange, expected)
+    assert model.actuator_forcelimited[actuator] == 1
+    others = np.delete(np.arange(3), actuator)
+    assert_array_equal(
+        model.actuator_forcelimited[others], original.actuator_forcelimited[others]
+    )
+
+
+@since(3, 1)
+def test_damping_by_a_ratio_gives_way_to_a_number(tmp_path):
+    text = SERVOS.replace('class="weak" joint="a"', 'joint="a" dampratio="1"')
+    text = text.replace('kp="7" kv="1"', 'kp="7"')
+    document = document_of(tmp_path, text)
+    model = mujoco.MjModel.from_xml_string(write_gains(document, 1, kp=40.0, kv=0.0))
+    assert model.actuator_biasprm[1, :3].tolist() == [0.0, -40.0, 0.0]
+
+
+@pytest.mark.parametrize("old", ["", ".8", ".8 .9", ".8 .9 .002 .4 3"])
+@pytest.mark.parametrize("of_class", ["", '<joint solimpfriction=".7 .85 .003"/>'])
+def test_friction_is_as_firm_as_is_said_and_otherwise_as_in_the_file(
+    tmp_path, old, of_class
+):
+    stated = f'solimpfriction="{old}"' if old else ""
+    text = SERVOS.replace('<position kp="7" kv="1"/>', of_class)
+    text = text.replace('<joint name="b"/>', f'<joint name="b" {stated}/>')
+    text = text.replace('class="weak" ', "")
+    change = ElementChange("joint", "b", {"frictionloss": 0.2, "solimpfriction": 0.99})
+    written = write_elements(document_of(tmp_path, text), change)
+    model = mujoco.MjModel.from_xml_string(written)
+    expected = mujoco.MjModel.from_xml_string(text).dof_solimp.copy()
+    expected[1, :2] = 0.99
+    assert_array_equal(model.dof_solimp, expected)
+
+
 @since(4, 0)
 def test_a_pid_controller_gets_gains_and_any_actuator_loses_its_rotor(tmp_path):
     text = SERVOS.replace('<motor joint="a"/>', '<pid joint="a" damping="1 2 3"/>')

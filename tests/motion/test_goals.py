@@ -139,7 +139,7 @@ def test_a_speed_above_that_of_the_plan_is_refused(speed):
         ("time,a goal position [rad]\n1,1\n1,2\n", "times that increase"),
         ("time,a goal position [rad]\n0,nan\n1,2\n", "not finite"),
         ("time,a goal position [rad]\n0,1,2\n1,2\n", "no goals of servos"),
-        ("time,a goal position [rad]\n", "goals.csv of robot-sysid plan"),
+        ("time,a goal position [rad]\n", "goals.csv, which robot-sysid plan"),
     ],
 )
 def test_files_that_are_no_goals_are_refused(tmp_path, text, message):

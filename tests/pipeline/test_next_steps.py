@@ -22,6 +22,11 @@ WORDS = {
     "expected": "3 %",
     "share": "30 %",
     "plan_options": ["--duration", "60"],
+    "mass": "0.2",
+    "place": "0 0 0.1",
+    "body": "hand",
+    "joints": "lift",
+    "after": "5 %",
 }
 
 

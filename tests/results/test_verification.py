@@ -182,6 +182,50 @@ def test_a_joint_or_actuator_without_its_new_number_is_refused_by_name(change, m
         require_change(model(text), model(text), ModelChange((), 0.0, (change,)))
 
 
+FORCE = 'forcerange="-2 2"'
+FIRM = 'solimpfriction=".99 .99"'
+
+
+@pytest.mark.parametrize(
+    ("change", "right", "wrong_numbers"),
+    [
+        (
+            ElementChange("actuator", 0, {"kp": 10.0, "forcerange": 2.0}),
+            ('kp="10"', f'kp="10" {FORCE}'),
+            ("", 'forcerange="-2 2.1"', 'forcerange="-1 2"'),
+        ),
+        (
+            ElementChange("actuator", 0, {"kp": 10.0, "forcerange": 2.0}),
+            ('kp="10"', f'kp="10" {FORCE}'),
+            ('forcerange="-2 2" forcelimited="false"',),
+        ),
+        (
+            ElementChange("joint", "j2", {"solimpfriction": 0.99}),
+            ('name="j2"', f'name="j2" {FIRM}'),
+            ("", 'solimpfriction=".99 .98"', 'solimpfriction=".99 .99 .002"'),
+        ),
+    ],
+)
+def test_a_largest_force_and_firm_friction_are_refused_where_others_compile(
+    change, right, wrong_numbers
+):
+    text = FULL.replace(RATIO, "")
+    old, new = right
+    original = model(text)
+    wanted = ModelChange((), 0.0, (change,))
+    require_change(original, model(text.replace(old, new)), wanted)
+    stated = new.removeprefix(f"{old} ")
+    for wrong in wrong_numbers:
+        other = model(text.replace(old, new.replace(stated, wrong)))
+        with pytest.raises(
+            ExportError, match="has another (actuator_force|dof_solimp)"
+        ):
+            require_change(original, other, wanted)
+    # A model that got the numbers without being asked is refused as well.
+    with pytest.raises(ExportError, match="has another (actuator_force|dof_solimp)"):
+        require_change(original, model(text.replace(old, new)), ModelChange((), 0.0))
+
+
 @pytest.fixture(scope="module")
 def three_joints(tmp_path_factory):
     """A three-joint arm as a file."""

@@ -76,6 +76,7 @@ def test_joints_behind_the_chain_stay_where_they_are(name):
     assert np.max(np.abs(data.qpos - reference)) > 0.01
 
 
+FAR_SERVO = '<actuator><position joint="joint0" kp="1"/></actuator>'
 EDGES = np.linspace(0.0, 1.0, 501)
 TIME, COMMAND = sines_and_steps(4.0)
 WINDOW = playback.ServoWindow(1.0, COMMAND[50], np.zeros(2), TIME, COMMAND)
@@ -115,18 +116,64 @@ def test_rollouts_are_neither_late_nor_early():
     assert_allclose(positions, exact, atol=2e-4)
 
 
-@pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
-def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_servo_and_joint_share_the_damping_as_is_said(share):
+    """Earlier parameters leave nothing behind."""
+    rollouts = playback.ServoRollouts(robot_of(XML))
+    damping = TRUTH.numbers[1]
+    for candidate in (TRUTH, replace(TRUTH, servo_damping=share * damping)):
+        rollouts.set_servos(candidate)
+    model = rollouts.model
+    assert_allclose(model.dof_damping, (1.0 - share) * damping, atol=1e-12)
+    assert_allclose(model.actuator_biasprm[:, 2], -share * damping, rtol=1e-12)
+
+
+def test_numbers_of_the_model_are_its_own():
+    """Damping is that of joint and servo together; the servo's part of it is kv."""
     robot = robot_of(XML)
     servos = playback.servos_in_model(robot)
-    rollouts = playback.ServoRollouts(robot)
-    rollouts.set_servos(TRUTH)
-    servos.numbers[1] *= factor
-    rollouts.set_servos(servos)
-    model = rollouts.model
-    assert_allclose(model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12)
-    bias = factor * robot.mj_model.actuator_biasprm[:, 2]
-    assert_allclose(model.actuator_biasprm[:, 2], bias, rtol=1e-12)
+    expected = [[100.0, 80.0], [3.0, 2.0], [0.3, 0.3], [0.05, 0.05]]
+    assert_array_equal(servos.numbers, expected)
+    assert servos.delay == 0.0
+    assert servos.limits.tolist() == [60.0, np.inf]
+    assert servos.servo_damping.tolist() == pytest.approx([2.0, 1.0], rel=1e-12)
+    assert servos.firmness.tolist() == [0.9, 0.9]
+
+
+def test_damping_beside_a_limit_slows_a_servo_and_damping_within_it_does_not():
+    """Its speed without load is the limit over the damping, as a voltage gives it."""
+    robot = robot_of(serial_arm((Z,), extra=FAR_SERVO))
+    numbers = np.array([[100.0], [2.0], [0.0], [0.01]])
+    beside = playback.ServoParameters(
+        numbers, 0.0, np.ones(1), np.zeros(1), np.full(1, 0.9)
+    )
+    window = playback.ServoWindow(
+        0.0, np.zeros(1), np.zeros(1), np.arange(2.0), np.full((2, 1), 100.0)
+    )
+    speeds = []
+    for servos in (beside, replace(beside, servo_damping=np.full(1, 2.0))):
+        q = playback.ServoRollouts(robot).positions(servos, [window], EDGES)[0]
+        speeds.append((q[-1, 0] - q[-2, 0]) / EDGES[1])
+    assert speeds[0] == pytest.approx(1.0 / 2.0, rel=0.05)
+    assert speeds[1] > 2.0 * speeds[0]
+
+
+@pytest.mark.parametrize(("firmness", "largest"), [(0.9, 0.1), (0.99, 0.01)])
+def test_friction_that_is_firm_lets_a_joint_creep_less(firmness, largest):
+    """A joint that friction of 2 N m holds under a torque of 1 N m."""
+    robot = robot_of(serial_arm((Z,), extra=FAR_SERVO))
+    servos = playback.ServoParameters(
+        np.array([[1.0], [0.0], [2.0], [0.05]]),
+        0.0,
+        np.full(1, np.inf),
+        np.zeros(1),
+        np.full(1, firmness),
+    )
+    window = playback.ServoWindow(
+        0.0, np.zeros(1), np.zeros(1), np.arange(2.0), np.ones((2, 1))
+    )
+    q = playback.ServoRollouts(robot).positions(servos, [window], EDGES)[0]
+    assert 0.01 * largest < q[-1, 0] < largest
 
 
 def test_friction_is_as_firm_as_in_a_file_with_the_numbers():
@@ -190,9 +237,11 @@ def test_candidates_played_together_do_not_disturb_each_other():
 def test_a_servo_pulls_no_harder_than_its_limit():
     robot = robot_of(XML.replace("-60 60", "-1 1"))
     assert playback.chain_actuators(robot).limit.tolist() == [1.0, np.inf]
-    (strong,) = play(robot_of(XML), TRUTH)
-    (weak,) = play(robot, TRUTH)
+    weak_servos = replace(TRUTH, limits=np.array([1.0, np.inf]))
+    strong, weak = play(robot_of(XML), TRUTH, weak_servos)
     assert np.ptp(weak[:, 0]) < 0.7 * np.ptp(strong[:, 0])
+    # Parameters, and not the file, say what the limit is.
+    assert_array_equal(play(robot, TRUTH)[0], strong)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.013, 0.05])

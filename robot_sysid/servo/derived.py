@@ -1,0 +1,163 @@
+"""What a servo's numbers mean for its owner: dead band, sag, and what else needs no scale.
+
+All of them are ratios to the gain or to the links' weight, which a motion shows whatever the links
+weigh. Weight is the largest torque at rest that gravity asks of a joint in any pose within the
+joints' limits. A standard error is the one of a first-order change of all numbers together.
+
+n is the number of joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.servo.fit import ServoFit
+from robot_sysid.servo.unknowns import DEVIATIONS, NAMES, UNKNOWNS, numbers_at
+
+POSES = 400
+"""Number of poses that are drawn for the largest weight."""
+TURN = np.pi
+"""Range to both sides of a joint without limits [rad]."""
+CHANGE = 1e-3
+"""Step of derivatives, in deviations of the unknowns."""
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A number of each joint, and its standard error.
+
+    Attributes:
+        unit: of both.
+        values: (n,) numbers.
+        errors: (n,) standard errors.
+    """
+
+    unit: str
+    values: Array
+    errors: Array
+
+
+def drawn_poses(robot: RobotModel) -> Array:
+    """Return poses (m, n) within the joints' limits [rad or m]."""
+    lower = np.maximum(robot.limits.lower, -TURN)
+    upper = np.minimum(robot.limits.upper, TURN)
+    return np.random.default_rng(0).uniform(lower, upper, (POSES, robot.n_joints))
+
+
+def torque_at_rest(robot: RobotModel, q: Array) -> Array:
+    """Return the torque (m, n) that gravity asks of each joint at rest in poses q (m, n) [N m]."""
+    at_rest = np.zeros_like(q)
+    return LinkDynamics(robot).motion(q, at_rest, at_rest).torque(robot.thetas)
+
+
+def largest_weights(robot: RobotModel) -> Array:
+    """Return the largest torque (n,) that gravity asks of each joint at rest [N m]."""
+    torque = torque_at_rest(robot, drawn_poses(robot))
+    return np.asarray(np.max(np.abs(torque), axis=0))
+
+
+def _formulas(
+    weight: Array,
+) -> Mapping[str, tuple[str, Callable[[dict[str, Array]], Array]]]:
+    """Return name to unit and formula of numbers by name (n,), of weights (n,) [N m]."""
+
+    def dead_band(at: dict[str, Array]) -> Array:
+        """Return the position error up to which a joint without load does not move."""
+        return at["frictionloss"] + at["stribeck"] + at["dead_zone"]
+
+    def sag(at: dict[str, Array]) -> Array:
+        """Return the position error that carries the largest weight."""
+        return weight / at["gain"]
+
+    def even_speed(at: dict[str, Array]) -> Array:
+        """Return the speed at which viscous friction equals dry friction."""
+        return at["frictionloss"] / at["damping"]
+
+    def strength(at: dict[str, Array]) -> Array:
+        """Return the largest torque over the largest weight."""
+        return at["torque_limit"] * at["gain"] / np.maximum(weight, 1e-12)
+
+    return {
+        "dead_band": ("rad", dead_band),
+        "sag": ("rad", sag),
+        "friction_over_gain": ("rad", lambda at: at["frictionloss"]),
+        "damping_over_gain": ("s", lambda at: at["damping"]),
+        "even_speed": ("rad/s", even_speed),
+        "torque_over_weight": ("", strength),
+    }
+
+
+def derived_numbers(
+    robot: RobotModel, fit: ServoFit, times: float = 1.0
+) -> dict[str, Derived]:
+    """Return what follows from a fit by name, in the order of a table.
+
+    Args:
+        robot: the arm as in the model file.
+        fit: of its servos.
+        times: gain of which the numbers are, over that of the fit: friction and the torque limit
+            do not follow a gain that is set.
+    """
+    formulas = _formulas(largest_weights(robot))
+
+    def at(x: Array) -> dict[str, Array]:
+        """Return numbers of all joints by name at unknowns x (n, u)."""
+        numbers = numbers_at(x)
+        numbers[:, 0] *= fit.likely_gain * times
+        by_name = dict(zip(NAMES, numbers.T))
+        for name in TIMES_GAIN:
+            by_name[name] = by_name[name] / times
+        return by_name
+
+    found = {}
+    for name, (unit, formula) in formulas.items():
+        slopes = np.empty_like(fit.x)
+        for k in range(len(NAMES)):
+            step = CHANGE * (np.arange(len(NAMES)) == k)
+            slopes[:, k] = (formula(at(fit.x + step)) - formula(at(fit.x - step))) / (
+                2.0 * CHANGE
+            )
+        variance = np.einsum("nk,nkl,nl->n", slopes, fit.given_links, slopes)
+        values = formula(at(fit.x))
+        found[name] = Derived(unit, values, np.sqrt(np.maximum(variance, 0.0)))
+    return found
+
+
+def absolute_numbers(fit: ServoFit) -> dict[str, Derived]:
+    """Return the numbers of the servos by name, with the errors of the links in theirs."""
+    numbers = fit.over_gain
+    gain = numbers[:, :1]
+    units = {
+        "gain": "N·m/rad",
+        "torque_limit": "N·m",
+        "damping": "N·m·s/rad",
+        "frictionloss": "N·m",
+        "armature": "kg·m²",
+        "stribeck": "N·m",
+        "load_share": "",
+        "dead_zone": "rad",
+        "loop_lag": "s",
+    }
+    found = {}
+    for name, unit in units.items():
+        k = NAMES.index(name)
+        scale = DEVIATIONS[k] * (numbers[:, k] if UNKNOWNS[name].is_logarithm else 1.0)
+        slopes = np.zeros_like(fit.x)
+        slopes[:, k] = scale
+        values = numbers[:, k]
+        if name in TIMES_GAIN:
+            slopes *= gain
+            slopes[:, 0] += DEVIATIONS[0] * gain[:, 0] * values
+            values = gain[:, 0] * values
+        variance = np.einsum("nk,nkl,nl->n", slopes, fit.covariance, slopes)
+        found[name] = Derived(unit, values, np.sqrt(np.maximum(variance, 0.0)))
+    return found
+
+
+TIMES_GAIN = ("torque_limit", "damping", "frictionloss", "armature", "stribeck")
+"""Numbers that are searched over the gain."""
