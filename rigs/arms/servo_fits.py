@@ -60,6 +60,7 @@ def servo_fit(
         given_links=covariance,
         likely_gain=likely,
         is_known=np.ones(n, dtype=bool),
+        is_fast=np.zeros(n, dtype=bool),
         in_file=in_file,
         held_x=x,
         mean=0.0 * x,

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Progress
+from robot_sysid.servo.loop import longest_period
 from robot_sysid.servo.play import make_tracks
 from robot_sysid.servo.played_fit import PASSES, PlayedFit, Searched, Solved
 from robot_sysid.servo.unknowns import (
@@ -62,6 +63,8 @@ FIRM = 0.99
 creeps by about 0.01 rad/s, which no gear does."""
 SHOWN = 4.0
 """Rise of squares, over those of independent errors, from which a torque limit is reached."""
+FASTEST_TURN = 1.2
+"""Angle by which the oscillation of a servo without damping may turn between two samples [rad]."""
 FIXED = 1e-6
 """Deviation of an unknown that stays where it is, over its own."""
 COMMON = {"command_delay": 0.0, "loop_lag": 0.002}
@@ -84,6 +87,8 @@ class ServoFit:
             weight have it.
         likely_gain: (n,) gains of which ``x`` has a factor [N m/rad].
         is_known: (n,) whether a joint moves enough to show its numbers.
+        is_fast: (n,) whether a servo swings faster than the samples resolve: many sets of numbers
+            then play alike, and its errors are as large as what is known before.
         in_file: numbers that a model file holds, refitted with the rest left out.
         held_x: (k, u) of the file's numbers, in deviations from the unknowns' means, of the k
             joints that move.
@@ -98,6 +103,7 @@ class ServoFit:
     given_links: Array
     likely_gain: Array
     is_known: NDArray[np.bool_]
+    is_fast: NDArray[np.bool_]
     in_file: ServoParameters
     held_x: Array
     mean: Array
@@ -354,13 +360,19 @@ def fit_servos(
     covariance[arm.moving] = second.covariance[:, : len(NAMES), : len(NAMES)]
     given_links[arm.moving] = _given_links(second.covariance)
     is_known = np.isin(np.arange(n), arm.moving)
-    misfit = np.diag(LEAST_ERRORS**2)
+    is_fast = is_too_fast(robot, whole, likely, pieces)
+    misfit = np.where(
+        is_fast[:, None, None],
+        np.eye(len(NAMES)) / np.minimum(DEVIATIONS, 1.0) ** 2,
+        np.diag(LEAST_ERRORS**2),
+    )
     return ServoFit(
         x=whole,
         covariance=covariance + misfit,
         given_links=given_links + misfit,
         likely_gain=likely,
         is_known=is_known,
+        is_fast=is_fast & is_known,
         in_file=_in_file(robot, arm, held, delay),
         held_x=held.at.x,
         mean=mean,
@@ -382,6 +394,24 @@ def _given_links(covariance: Array) -> Array:
     return np.asarray(
         own - shared @ np.linalg.solve(covariance[:, u:, u:], np.swapaxes(shared, 1, 2))
     )
+
+
+def is_too_fast(
+    robot: RobotModel, x: Array, likely_gain: Array, pieces: Sequence[Recording]
+) -> NDArray[np.bool_]:
+    """Return which servos (n,) swing faster, without damping, than the samples resolve.
+
+    Args:
+        robot: the arm as in the model file.
+        x: (n, u) of its servos.
+        likely_gain: (n,) gains of which x has a factor [N m/rad].
+        pieces: of logs.
+    """
+    numbers = numbers_at(x)
+    inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
+    gain = likely_gain * numbers[:, column("gain")]
+    per_gain = numbers[:, column("armature")] + inertia / gain
+    return np.asarray(longest_period(pieces) > FASTEST_TURN * np.sqrt(per_gain))
 
 
 def _liken_gains(robot: RobotModel, arm: ArmFit, first: Solved) -> None:

@@ -42,6 +42,12 @@ IN_FILE = {
 """Numbers of a joint in a model file, in the order of ``ServoParameters``, and their units."""
 LIMIT = "torque_limit"
 """Name of the largest torque of a servo."""
+FAST = (
+    "the servo swings faster than the samples resolve, so that many numbers move alike: the file "
+    "moves like the arm in motions like these, and no number of the servo is known; record at a "
+    "higher rate"
+)
+"""What limits a servo that is too fast for the samples."""
 STILL = "the joint does not move in these logs: it keeps the model's numbers"
 """Reason of a joint's numbers that nothing shows."""
 WORSE = "a model with what was found predicts positions worse than the model's numbers, which stay"
@@ -290,6 +296,9 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
     still = names[~result.fit.is_known]
     if len(still):
         yield f"{', '.join(still)}: {STILL}"
+    fast = names[result.fit.is_fast]
+    if len(fast):
+        yield f"{', '.join(fast)}: {FAST}"
     worse = names[result.fit.is_known & ~result.is_new]
     if len(worse):
         yield f"{', '.join(worse)}: {WORSE}"

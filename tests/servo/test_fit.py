@@ -15,7 +15,13 @@ from rigs.logs import servo_logs
 from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.servo_setting import UNKNOWN, parse_servo_setting
-from robot_sysid.servo.fit import LEAST_TIME_ERROR, common, fit_servos, likely_gains
+from robot_sysid.servo.fit import (
+    LEAST_TIME_ERROR,
+    common,
+    fit_servos,
+    is_too_fast,
+    likely_gains,
+)
 from robot_sysid.servo.setting import loaded, with_setting
 from robot_sysid.servo.unknowns import IN_FILE, LEAST_ERRORS, NAMES, UNKNOWNS, column
 from robot_sysid.simulation.playback import servos_in_model
@@ -252,3 +258,16 @@ def test_a_fit_that_begins_at_an_earlier_one_ends_where_that_one_does():
     assert np.all(np.abs(in_errors(whole, truth())) < 3.0)
     errors = np.sqrt(np.diagonal(part.covariance, axis1=1, axis2=2))
     assert np.all(np.abs(whole.x - part.x) < 3.0 * errors + 1e-9)
+
+
+@pytest.mark.parametrize(("gain", "is_fast"), [(10.0, False), (1000.0, True)])
+def test_a_servo_that_turns_far_between_samples_is_fast(gain, is_fast):
+    """At 50 Hz, of an inertia of 0.03 kg m^2: 0.37 and 3.7 rad between samples."""
+    robot = one_joint(gain)
+    time = np.arange(10) * 0.02
+    pieces = [Recording(time, np.zeros((10, 1)), None, np.zeros((10, 1)))]
+    x = np.zeros((1, len(NAMES)))
+    unknown = UNKNOWNS["armature"]
+    x[0, column("armature")] = np.log(0.03 / gain / unknown.mean) / unknown.deviation
+    found = is_too_fast(robot, x, likely_gains(robot), pieces)
+    assert found.tolist() == [is_fast]

@@ -178,7 +178,7 @@ def test_what_is_written_of_a_joint_and_of_its_servo(xml, gear):
 def test_what_the_model_does_not_have_and_needs_not_is_not_written():
     """A servo without damping gets none, and one without a limit that shows keeps none."""
     robot = robot_of(XML.replace('biasprm="0 -100 -2"', 'biasprm="0 -100 0"'))
-    fit = found_fit(robot)
+    fit = found_fit(ROBOT)
     fit = replace(fit, in_file=replace(fit.in_file, limits=np.full(2, np.inf)))
     _, servo, *_ = identification_of(robot, fit).changes()
     assert set(servo.numbers) == {"kp"}
@@ -251,3 +251,11 @@ def test_a_model_is_better_than_the_one_before_and_than_late_commands(
     after, goal, is_better
 ):
     assert identification_of(ROBOT, None, after, goal).is_better == is_better
+
+
+def test_a_servo_faster_than_its_samples_has_a_note():
+    fit = found_fit(ROBOT)
+    is_fast = np.arange(ROBOT.n_joints) == 0
+    result = identification_of(ROBOT, replace(fit, is_fast=is_fast))
+    (note,) = (note for note in servo_notes(result) if "faster" in note)
+    assert note.startswith(f"{ROBOT.joint_names[0]}: the servo swings faster")
