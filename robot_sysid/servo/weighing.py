@@ -23,7 +23,7 @@ from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.servo.derived import drawn_poses, torque_at_rest
 from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.unknowns import DEVIATIONS, column, numbers_at
+from robot_sysid.servo.unknowns import DEVIATIONS, UNKNOWNS, column, numbers_at
 from robot_sysid.simulation.playback import chain_actuators
 from robot_sysid.spatial import aluminium_ball, com_from_theta
 
@@ -40,6 +40,8 @@ HAND_ERROR = 0.02
 100 g, 2 mm of 100 mm."""
 LEAST_INFORMATION = 1.0
 """Information on the logarithm of a gain from which on the log shows its size at all."""
+LEAST_VARIANCE = 1e-12
+"""Variance of the logarithm of a gain that is none."""
 ROUNDING = 1e-9
 """Share of the largest torque that is none."""
 
@@ -132,13 +134,19 @@ def _errors_with(fit: ServoFit, links: Array, weight: Array) -> Array:
     prior = np.full(len(fit.x), np.inf)
     prior[fit.is_known] = scale * fit.deviation[:, gain]
     given_links = scale**2 * fit.given_links[:, gain, gain]
-    # What the log tells of the gain, beside what is known before.
-    information = 1.0 / given_links - prior**-2.0
-    by_links = np.maximum(scale**2 * fit.covariance[:, gain, gain] - given_links, 1e-12)
+    by_links = np.maximum(
+        scale**2 * fit.covariance[:, gain, gain] - given_links, LEAST_VARIANCE
+    )
+    # What the log tells of the gain, beside what is known before. What servos do otherwise than
+    # they are taken to is as much with a weight.
+    misfit = UNKNOWNS["gain"].misfit
+    information = 1.0 / np.maximum(given_links - misfit**2, LEAST_VARIANCE)
+    information -= prior**-2.0
+    at_hand = np.hypot(HAND_ERROR, misfit)
     errors = np.full(len(fit.x), np.inf)
     for k in np.flatnonzero(information > LEAST_INFORMATION).tolist():
         seen = np.array([[-1.0, 1.0], [-times[k], 1.0]])
         matrix = information[k] * seen.T @ seen
         matrix += np.diag([0.0, 1.0 / by_links[k]])
-        errors[k] = np.hypot(np.sqrt(np.linalg.inv(matrix)[0, 0]), HAND_ERROR)
+        errors[k] = np.hypot(np.sqrt(np.linalg.inv(matrix)[0, 0]), at_hand)
     return errors
