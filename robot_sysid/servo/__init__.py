@@ -162,7 +162,7 @@ def identify_servos(
 
     The poses are a motion (m, n) without velocity; the written model is checked there. The
     beginnings of the logs are fitted and their ends, or the validation log, are held out to judge
-    the numbers, which are written as they were judged.
+    the numbers. Ends that were held out are fitted with the rest once the numbers were judged.
 
     Args:
         robot: the arm as in the model file.

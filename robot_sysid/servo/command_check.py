@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Recording
-from robot_sysid.servo.loop import MAX_DELAY, commands, low_pass
+from robot_sysid.servo.loop import LEAST_MOTION, MAX_DELAY, commands, low_pass
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.wording import option_name
 
@@ -24,8 +24,6 @@ REACH = 3.0 * MAX_DELAY
 delay that a wrong one shows as what it is."""
 SHIFT = 0.02
 """Distance between shifts [s], beside those of the ten nearest samples, where a copy shows."""
-LEAST_MOTION = 0.02
-"""Range of positions below which a joint does not move [rad or m]."""
 LEAST_CORRELATION = 0.3
 """Least correlation of commands with the positions that follow them."""
 LEAST_RESPONSE = 0.4

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_sysid.records.usual_errors as usual_errors
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Progress
-from robot_sysid.servo.loop import longest_period
+from robot_sysid.servo.loop import LEAST_MOTION, longest_period
 from robot_sysid.servo.play import make_tracks
 from robot_sysid.servo.played_fit import PASSES, PlayedFit, Searched, Solved
 from robot_sysid.servo.unknowns import (
@@ -41,9 +42,8 @@ from robot_sysid.simulation.playback import (
     chain_actuators,
     servos_in_model,
 )
+from robot_sysid.wording import option_name
 
-LEAST_MOTION = 0.02
-"""Range of positions below which a joint does not move [rad or m]."""
 SHORT = 1.0
 """Length of the windows in which a search begins [s]: short ones have few wrong minima."""
 LONG = 6.0
@@ -127,21 +127,38 @@ def likely_gains(robot: RobotModel) -> Array:
     return np.where(np.isfinite(in_model), in_model, usual)
 
 
+def moving_joints(pieces: Sequence[Recording]) -> NDArray[np.int64]:
+    """Return the numbers of the joints that move in pieces of logs; InputError for none."""
+    ranges = np.max([np.ptp(piece.q, axis=0) for piece in pieces], axis=0)
+    moving = np.flatnonzero(ranges >= LEAST_MOTION)
+    if not len(moving):
+        raise InputError(
+            f"no joint moves by {LEAST_MOTION:g} rad (m of a slide) in what is fitted, which is "
+            "all of a log but its last fifth where there is no validation log; record a longer "
+            f"motion, or give another log with {option_name('validation_measurements')}"
+        )
+    return moving
+
+
 class ArmFit:
     """The search for all numbers of an arm, pass by pass.
 
     Args:
         robot: the arm as in the model file.
         pieces: of logs, which have commands.
+        moving: (k,) numbers of the joints that are searched.
         progress: receives what is fitted and the error so far.
     """
 
     def __init__(
-        self, robot: RobotModel, pieces: Sequence[Recording], progress: Progress
+        self,
+        robot: RobotModel,
+        pieces: Sequence[Recording],
+        moving: NDArray[np.int64],
+        progress: Progress,
     ) -> None:
         self._progress = progress
-        ranges = [np.ptp(piece.q, axis=0) for piece in pieces]
-        self.moving = np.flatnonzero(np.max(ranges, axis=0) > LEAST_MOTION)
+        self.moving = moving
         self.likely_gain = likely_gains(robot)[self.moving]
         self._tracks = {}
         for length in (SHORT, LONG):
@@ -320,10 +337,16 @@ def fit_servos(
         robot: the arm as in the model file.
         pieces: of logs, which have commands.
         progress: receives what is fitted and the error so far.
-        before: of a part of these pieces, in which the same joints move: where the search begins,
-            and what is known of delay and gains.
+        before: of a part of these pieces: where the search begins, which joints are searched, and
+            what is known of delay and gains.
+
+    Raises:
+        InputError: no joint moves in the pieces.
     """
-    arm = ArmFit(robot, pieces, progress)
+    moving = (
+        moving_joints(pieces) if before is None else np.flatnonzero(before.is_known)
+    )
+    arm = ArmFit(robot, pieces, moving, progress)
     n = robot.n_joints
     if before is None:
         start = np.zeros_like(arm.mean)

@@ -18,6 +18,8 @@ from robot_sysid.signals.resampling import sampling_period
 MAX_DELAY = 0.5
 """Longest time by which positions may follow their commands [s]: that of a soft servo, damping over
 gain (0.14 s at a kd of 2.75 and a kp of 20), and the way of commands over a network."""
+LEAST_MOTION = 0.02
+"""Range of positions below which a joint does not move [rad or m]."""
 GRID = 0.01
 """Distance between ``DELAYS`` [s]."""
 DELAYS = np.arange(0.0, MAX_DELAY, GRID)

@@ -48,7 +48,7 @@ FAST = (
     "higher rate"
 )
 """What limits a servo that is too fast for the samples."""
-STILL = "the joint does not move in these logs: it keeps the model's numbers"
+STILL = "the joint does not move in what is fitted of these logs: it keeps the model's numbers"
 """Reason of a joint's numbers that nothing shows."""
 WORSE = "a model with what was found predicts positions worse than the model's numbers, which stay"
 """Reason of numbers that held-out windows, or fitted ones, speak against."""
@@ -283,7 +283,7 @@ def _matrix(
 
 def _cell(value: float, error: float) -> str:
     """Return a number with its error, or that it is not shown."""
-    if abs(value) < NOTHING:
+    if abs(value) < NOTHING and np.isfinite(error):
         return "0"
     if not error < LARGEST_ERROR * abs(value):
         return UNKNOWN

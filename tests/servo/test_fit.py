@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import robot_sysid.records.usual_errors as usual_errors
 from rigs.arms.small_arms import robot_of
 from rigs.logs import servo_logs
+from robot_sysid.errors import InputError
 from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.servo_setting import UNKNOWN, parse_servo_setting
@@ -176,6 +177,28 @@ def test_joints_that_stand_keep_the_models_numbers():
     assert not np.any(found.x[1])
     assert_allclose(found.covariance[1], np.eye(len(NAMES)) + np.diag(LEAST_ERRORS**2))
     assert np.all(np.abs(in_errors(found, truth(2))) < 3.0)
+
+
+@pytest.mark.slow
+def test_a_joint_that_moves_only_later_is_not_searched_there():
+    """Of a fit of the whole log, which goes on from that of its beginning."""
+    robot = arm()
+    first = log(robot, truth(2), 4.0, scale=np.array([1.5, 0.005]))
+    later = log(robot, truth(2), 4.0)
+    found = fit(robot, first)
+    whole = fit_servos(robot, [first, later], Progress(), found)
+    assert whole.is_known.tolist() == found.is_known.tolist() == [True, False]
+    assert_array_equal(whole.x[1], found.x[1])
+    assert np.all(np.abs(in_errors(whole, truth(2))) < 3.0)
+
+
+def test_logs_in_which_nothing_moves_are_refused():
+    robot = arm()
+    time = 0.02 * np.arange(50)
+    still = np.full((50, 2), 0.3)
+    piece = Recording(time, still, None, 0.0 * still, command=still)
+    with pytest.raises(InputError, match="no joint moves by 0.02 rad .* longer"):
+        fit(robot, piece)
 
 
 @pytest.mark.slow
