@@ -3,7 +3,7 @@
 import numpy as np
 
 from robot_sysid.servo.loop import MAX_DELAY
-from robot_sysid.servo.play import DIRECTIONS, KEPT, STEPS, Tracks, play
+from robot_sysid.servo.play import DIRECTIONS, KEPT, STEPS, Tracks, join_tracks, play
 from robot_sysid.servo.unknowns import NAMES, column
 
 STEP = STEPS[0]
@@ -96,23 +96,4 @@ def play_once(tracks, numbers, errors=0.0, start=0.0):
 
 def joined(*tracks):
     """Return several made-up tracks as one."""
-    axes = {
-        "command": 1,
-        "torque": 1,
-        "inertia": 1,
-        "slope": 1,
-        "middle": 1,
-        "errors": 2,
-        "inertia_errors": 2,
-        "start": 1,
-    }
-    names = [name for name in Tracks.__dataclass_fields__ if name != "step"]
-    return Tracks(
-        step=STEP,
-        **{
-            name: np.concatenate(
-                [getattr(one, name) for one in tracks], axes.get(name, 0)
-            )
-            for name in names
-        },
-    )
+    return join_tracks(tracks)

@@ -149,7 +149,8 @@ class GoalPlayer:
         self._way_there = LineTrajectory(pose, goals.q[0], APPROACH_SPEED)
         self._way_back = LineTrajectory(goals.q[-1], pose, APPROACH_SPEED)
         self._time = 0.0
-        self._calls: list[float] = []
+        self._n_calls = 0
+        self._first_call = self._last_call = 0.0
 
     @property
     def approach_time(self) -> float:
@@ -174,16 +175,19 @@ class GoalPlayer:
     @property
     def call_rate(self) -> float:
         """How often goals were asked for, on average [Hz]; 0 before the second call."""
-        if len(self._calls) < 2:
+        if self._n_calls < 2:
             return 0.0
-        return (len(self._calls) - 1) / (self._calls[-1] - self._calls[0])
+        return (self._n_calls - 1) / (self._last_call - self._first_call)
 
     def pose(self) -> Array:
         """Return the goals (n,) of this instant [rad or m]."""
         now = self._clock()
-        if self._calls:
-            self._time += min(max(now - self._calls[-1], 0.0), LONGEST_STEP)
-        self._calls.append(now)
+        if self._n_calls:
+            self._time += min(max(now - self._last_call, 0.0), LONGEST_STEP)
+        else:
+            self._first_call = now
+        self._last_call = now
+        self._n_calls += 1
         in_motion = self._time - self.approach_time
         if in_motion < 0.0:
             return self._way_there.evaluate(np.array([self._time])).q[0]

@@ -147,10 +147,10 @@ def write_servos(
         removed = remove_earlier(files, config, robot, written)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
     last_lines = [verdict, *use_lines(written[0]), *card_lines(written)]
-    step = step_after(result)
-    last_lines += step.lines() if step else ()
     if failure is not None:
         last_lines = [f"Not usable: {failure}"]
+    elif step := step_after(result):
+        last_lines += step.lines()
     files_and_lines = Written(tuple(written), lines, tuple(last_lines), failure, result)
     return files_and_lines, (*result.notes, *removed)
 

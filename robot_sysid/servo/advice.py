@@ -24,8 +24,8 @@ from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import number_text, with_error
 from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.servo.derived import derived_numbers, drawn_poses, torque_at_rest
-from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.play import Tracks, make_tracks, play
+from robot_sysid.servo.fit import LARGEST_ERROR, ServoFit
+from robot_sysid.servo.play import Tracks, inertia_columns, make_tracks, play
 from robot_sysid.servo.unknowns import LEAST, column, numbers_at
 from robot_sysid.servo.windows import HIDDEN
 
@@ -50,8 +50,6 @@ DRAWS = 20
 """Sets of numbers that are played beside those of the fit."""
 SURE_SHARE = 0.95
 """Share of them that has to come to rest: what a printed ± of two errors holds."""
-LARGEST_ERROR = 0.4
-"""Relative standard error up to which a dead band or sag is known."""
 NUMBERS = ("dead_band", "sag")
 """Numbers that a gain makes smaller."""
 
@@ -292,14 +290,8 @@ def _extreme_poses(robot: RobotModel, q: Array) -> NDArray[np.int64]:
     """Return the numbers (p, n) of those poses q (m, n) in which each joint carries most, and has
     the largest and the smallest inertia.
     """
-    weight = np.abs(torque_at_rest(robot, q))
-    dynamics = LinkDynamics(robot)
-    zero = np.zeros_like(q)
-    at_rest = dynamics.motion(q, zero, zero).torque(robot.thetas)
-    inertia = np.empty_like(q)
-    for joint, unit in enumerate(np.eye(robot.n_joints)):
-        pushed = dynamics.motion(q, zero, zero + unit).torque(robot.thetas)
-        inertia[:, joint] = (pushed - at_rest)[:, joint]
+    weight = np.abs(torque_at_rest(robot, q, robot.thetas))
+    inertia = inertia_columns(LinkDynamics(robot), q) @ robot.thetas.ravel()
     return np.stack(
         (weight.argmax(axis=0), inertia.argmax(axis=0), inertia.argmin(axis=0))
     )

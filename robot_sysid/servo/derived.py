@@ -49,15 +49,21 @@ def drawn_poses(robot: RobotModel) -> Array:
     return np.random.default_rng(0).uniform(lower, upper, (POSES, robot.n_joints))
 
 
-def torque_at_rest(robot: RobotModel, q: Array) -> Array:
-    """Return the torque (m, n) that gravity asks of each joint at rest in poses q (m, n) [N m]."""
+def torque_at_rest(robot: RobotModel, q: Array, thetas: Array) -> Array:
+    """Return the torque (m, n) that gravity asks of each joint at rest in poses q (m, n) [N m].
+
+    Args:
+        robot: the arm.
+        q: poses [rad or m].
+        thetas: (n, 10) of its links.
+    """
     at_rest = np.zeros_like(q)
-    return LinkDynamics(robot).motion(q, at_rest, at_rest).torque(robot.thetas)
+    return LinkDynamics(robot).motion(q, at_rest, at_rest).torque(thetas)
 
 
 def largest_weights(robot: RobotModel) -> Array:
     """Return the largest torque (n,) that gravity asks of each joint at rest [N m]."""
-    torque = torque_at_rest(robot, drawn_poses(robot))
+    torque = torque_at_rest(robot, drawn_poses(robot), robot.thetas)
     return np.asarray(np.max(np.abs(torque), axis=0))
 
 

@@ -25,7 +25,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.servo.loop import LEAST_MOTION, longest_period
-from robot_sysid.servo.play import make_tracks
+from robot_sysid.servo.play import Courses, Tracks
 from robot_sysid.servo.played_fit import PASSES, PlayedFit, Searched, Solved
 from robot_sysid.servo.unknowns import (
     DEVIATIONS,
@@ -37,7 +37,9 @@ from robot_sysid.servo.unknowns import (
     column,
     numbers_at,
 )
+from robot_sysid.signals.process import NORMAL_MEDIAN
 from robot_sysid.simulation.playback import (
+    MAX_WINDOWS,
     ServoParameters,
     chain_actuators,
     servos_in_model,
@@ -48,8 +50,6 @@ SHORT = 1.0
 """Length of the windows in which a search begins [s]: short ones have few wrong minima."""
 LONG = 6.0
 """Length of those in which it ends [s]: what a model does after seconds is what it is used for."""
-MOST_WINDOWS = 60
-"""Number of windows that are played."""
 DRAWS = 200
 """Sets of numbers that are drawn from what is known before."""
 BEGINNINGS = 2
@@ -70,8 +70,6 @@ FIXED = 1e-6
 COMMON = {"command_delay": 0.0, "loop_lag": 0.002}
 """Times that the joints of an arm share, a bus and one kind of servo, and how far off one joint is
 [s]."""
-NORMAL_MEDIAN = 1.0 / 0.6745
-"""Standard deviation of normal errors over the median of their sizes."""
 LEAST_TIME_ERROR = 1e-3
 """Error of such a time by what servos do otherwise than by a delay and one lag [s]."""
 
@@ -160,11 +158,8 @@ class ArmFit:
         self._progress = progress
         self.moving = moving
         self.likely_gain = likely_gains(robot)[self.moving]
-        self._tracks = {}
-        for length in (SHORT, LONG):
-            tracks = make_tracks(robot, pieces, length, MOST_WINDOWS)
-            is_moving = np.isin(tracks.joint, self.moving)
-            self._tracks[length] = tracks.at(np.flatnonzero(is_moving))
+        self._courses = Courses(robot, pieces)
+        self._tracks: dict[float, Tracks] = {}
         shape = (len(self.moving), len(NAMES))
         self.mean = np.zeros(shape)
         self.deviation = np.ones(shape)
@@ -173,6 +168,10 @@ class ArmFit:
         self, length: float, free: Sequence[str], with_links: bool, copies: int = 1
     ) -> PlayedFit:
         """Return the search of some unknowns in windows of a length, of copies of each joint."""
+        if length not in self._tracks:
+            tracks = self._courses.tracks(length, MAX_WINDOWS)
+            is_moving = np.isin(tracks.joint, self.moving)
+            self._tracks[length] = tracks.at(np.flatnonzero(is_moving))
         tracks = self._tracks[length]
         count = len(tracks)
         own = np.searchsorted(self.moving, tracks.joint)
@@ -311,7 +310,7 @@ def common(name: str, x: Array, covariance: Array) -> tuple[float, float]:
     weights = np.hypot(errors, own - middle) ** -2.0
     time = float(np.sum(weights * own) / np.sum(weights))
     # Where most joints differ by more than their errors, so is the time less sure.
-    spread = NORMAL_MEDIAN * np.median(np.abs(own - time) / errors)
+    spread = np.median(np.abs(own - time) / errors) / NORMAL_MEDIAN
     error = float(np.sum(weights) ** -0.5 * max(1.0, spread))
     return time, max(error, LEAST_TIME_ERROR)
 

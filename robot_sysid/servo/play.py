@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,37 +101,80 @@ class Tracks:
 
     def at(self, chosen: NDArray[np.int64]) -> Tracks:
         """Return some of the tracks, any of them several times."""
-        by_column = ("command", "torque", "inertia", "slope", "middle", "start")
-        changes = {name: getattr(self, name)[:, chosen] for name in by_column}
-        by_row = (
-            "joint",
-            "scale",
-            "strength",
-            "sample",
-            "share",
-            "is_sample",
-            "measured",
-        )
-        changes.update((name, getattr(self, name)[chosen]) for name in by_row)
-        errors = ("errors", "inertia_errors")
-        changes.update((name, getattr(self, name)[:, :, chosen]) for name in errors)
+        changes: dict[str, Any] = {
+            name: np.take(getattr(self, name), chosen, axis)
+            for name, axis in TRACK_AXES.items()
+        }
         return replace(self, **changes)
+
+
+TRACK_AXES = {
+    "joint": 0,
+    "scale": 0,
+    "strength": 0,
+    "command": 1,
+    "torque": 1,
+    "inertia": 1,
+    "slope": 1,
+    "middle": 1,
+    "errors": 2,
+    "inertia_errors": 2,
+    "start": 1,
+    "sample": 0,
+    "share": 0,
+    "is_sample": 0,
+    "measured": 0,
+}
+"""Name of an array of ``Tracks`` to its axis that is that of the tracks."""
+
+
+def join_tracks(parts: Sequence[Tracks]) -> Tracks:
+    """Return tracks of one time step as one, in their order."""
+    joined: dict[str, Any] = {
+        name: np.ascontiguousarray(
+            np.concatenate([getattr(part, name) for part in parts], axis)
+        )
+        for name, axis in TRACK_AXES.items()
+    }
+    # One step's numbers lie side by side: a play goes through them step by step.
+    return replace(parts[0], **joined)
 
 
 @dataclass(frozen=True)
 class _Links:
-    """What the links ask of each joint at the samples of a piece: (N, n) each, errors (N, n, E) of
-    the torque at the measured motion, of that without own acceleration, and of the inertia.
+    """What the links ask of each joint at the N samples of a piece.
+
+    Attributes:
+        along: (N, n, 4) torque, inertia, slope and middle, as in ``Tracks``.
+        speed: (N, n) behind a low-pass [rad/s].
+        qdd: (N, n) accelerations behind it [rad/s^2].
+        errors: (N, n, E) torque by one standard deviation of each link error [N m].
+        inertia_errors: (N, n, E) inertia about the joint by the same [kg m^2].
     """
 
-    torque: Array
-    inertia: Array
-    slope: Array
-    middle: Array
+    along: Array
     speed: Array
+    qdd: Array
     errors: Array
-    own_errors: Array
     inertia_errors: Array
+
+
+def inertia_columns(dynamics: LinkDynamics, q: Array) -> Array:
+    """Return the derivative (N, n, 10 n) of the inertia about each joint by the links' thetas.
+
+    Args:
+        dynamics: of the arm.
+        q: (N, n) positions [rad or m].
+    """
+    n = q.shape[1]
+    zero = np.zeros_like(q)
+    links = [*range(n)]
+    at_rest = dynamics.motion(q, zero, zero).columns(links)
+    found = np.empty_like(at_rest)
+    for joint, unit in enumerate(np.eye(n)):
+        pushed = dynamics.motion(q, zero, zero + unit).columns(links)
+        found[:, joint] = (pushed - at_rest)[:, joint]
+    return found
 
 
 def _links(robot: RobotModel, piece: Recording, factor: Array) -> _Links:
@@ -149,112 +193,143 @@ def _links(robot: RobotModel, piece: Recording, factor: Array) -> _Links:
     links = np.arange(robot.n_joints)
     unknown = factor * np.repeat(~is_known, len(factor) // len(links))[:, None]
     errors = motion.columns(links.tolist()) @ unknown
-    zero = np.zeros_like(q)
-    at_rest = dynamics.motion(q, zero, zero)
-    torque_at_rest = at_rest.torque(thetas)
-    columns_at_rest = at_rest.columns(links.tolist())
-    inertia_errors = np.empty_like(errors)
-    inertia = np.empty_like(q)
+    by_thetas = inertia_columns(dynamics, q)
+    inertia = by_thetas @ thetas.ravel()
     slope = np.empty_like(q)
-    for joint in links.tolist():
-        unit = np.zeros(robot.n_joints)
-        unit[joint] = 1.0
-        pushed = dynamics.motion(q, zero, zero + unit)
-        inertia[:, joint] = (pushed.torque(thetas) - torque_at_rest)[:, joint]
-        change = (pushed.columns(links.tolist()) - columns_at_rest)[:, joint]
-        inertia_errors[:, joint] = change @ unknown
+    for joint, unit in enumerate(np.eye(robot.n_joints)):
         moved = (q + ANGLE * unit, q - ANGLE * unit)
         more, less = (dynamics.motion(each, qd, qdd).torque(thetas) for each in moved)
         slope[:, joint] = (more - less)[:, joint] / (2.0 * ANGLE)
-    own_errors = errors - inertia_errors * qdd[:, :, None]
-    own = torque - inertia * qdd
-    return _Links(own, inertia, slope, q, qd, errors, own_errors, inertia_errors)
+    along = np.stack((torque - inertia * qdd, inertia, slope, q), axis=2)
+    return _Links(along, qd, qdd, errors, by_thetas @ unknown)
+
+
+class Courses:
+    """What the links ask of an arm's joints along pieces of its logs, to be cut into tracks.
+
+    It is computed once, whatever the length of the windows.
+
+    Args:
+        robot: the arm as in the model file.
+        pieces: of logs, which have commands.
+    """
+
+    def __init__(self, robot: RobotModel, pieces: Sequence[Recording]) -> None:
+        self._pieces = pieces
+        factor = link_factor(robot, [*range(robot.n_joints)], LINK_SHARE)
+        links = [_links(robot, piece, factor) for piece in pieces]
+        # Of many link errors, those directions in which they change a joint's torque most.
+        together = np.concatenate([each.errors for each in links])
+        directions = []
+        for of_joint in np.moveaxis(together, 1, 0):
+            *_, rows = np.linalg.svd(of_joint, full_matrices=False)
+            directions.append(rows[:DIRECTIONS].T)
+        self._links = [_in_directions(each, directions) for each in links]
+
+    def tracks(self, window: float, most: int) -> Tracks:
+        """Return the tracks of all joints in windows of the pieces.
+
+        Args:
+            window: about the length of a window [s].
+            most: largest number of windows; they are spread evenly over the pieces.
+        """
+        windows = self._windows(window, most)
+        times = [self._pieces[k].time[at] for k, at in windows]
+        longest = max(time[-1] - time[0] for time in times)
+        step = float(np.clip(longest_period(self._pieces) / STEPS_PER_SAMPLE, *STEPS))
+        n_steps = KEPT * (int(np.ceil(longest / (step * KEPT))) + 1)
+        n_samples = max(map(len, times))
+        parts = [self._part(k, at, step, n_steps, n_samples) for k, at in windows]
+        return join_tracks(parts)
+
+    def _windows(self, window: float, most: int) -> list[tuple[int, slice]]:
+        """Return windows as a piece's number and its samples; see ``tracks``."""
+        windows = []
+        for k, piece in enumerate(self._pieces):
+            count = max(round((piece.time[-1] - piece.time[0]) / window), 1)
+            edges = np.round(np.linspace(0, len(piece) - 1, count + 1)).astype(int)
+            windows += [
+                (k, slice(first, last + 1)) for first, last in zip(edges, edges[1:])
+            ]
+        spread = np.linspace(0, len(windows) - 1, min(len(windows), most))
+        return [windows[k] for k in np.unique(np.round(spread).astype(int))]
+
+    def _part(
+        self, k: int, at: slice, step: float, n_steps: int, n_samples: int
+    ) -> Tracks:
+        """Return the tracks of one window.
+
+        Args:
+            k: number of the piece.
+            at: its samples.
+            step: time step of a play [s].
+            n_steps, n_samples: of all windows.
+        """
+        piece = self._pieces[k]
+        first = self._pieces[0]
+        links = self._links[k]
+        n = piece.q.shape[1]
+        start = piece.time[at][0]
+        time = start + step * np.arange(n_steps)
+        before = round(MAX_DELAY / step) + 2
+        early = start + step * np.arange(-before, n_steps)
+        # A command holds until the next one comes.
+        last = np.searchsorted(piece.time, early, side="right") - 1
+        torque, inertia, slope, middle = np.moveaxis(
+            _at_times(time, piece.time, links.along), 2, 0
+        )
+        since = (piece.time[at] - start) / (step * KEPT)
+        gap = n_samples - len(since)
+        padded = np.pad(since, (0, gap))
+        sample = np.minimum(padded.astype(int), n_steps // KEPT - 1)
+        return Tracks(
+            step=step,
+            joint=np.arange(n),
+            scale=np.full(n, gain_of(piece.setting, first.setting)),
+            strength=np.full(n, strength_of(piece.setting, first.setting)),
+            command=commands(piece)[np.maximum(last, 0)],
+            torque=torque,
+            inertia=inertia,
+            slope=slope,
+            middle=middle,
+            errors=_by_direction(time, piece.time, links.errors),
+            inertia_errors=_by_direction(time, piece.time, links.inertia_errors),
+            start=np.stack((piece.q[at][0], links.speed[at][0])),
+            sample=np.tile(sample, (n, 1)),
+            share=np.tile(padded - sample, (n, 1)),
+            is_sample=np.tile(np.arange(n_samples) < len(since), (n, 1)),
+            measured=np.pad(piece.q[at], ((0, gap), (0, 0))).T,
+        )
+
+
+def _in_directions(links: _Links, directions: Sequence[Array]) -> _Links:
+    """Return links with errors (N, n, J) in directions (E, J) of each joint; those of the torque
+    without its own acceleration.
+    """
+    torque, inertia = (
+        np.stack([of[:, k] @ each for k, each in enumerate(directions)], axis=1)
+        for of in (links.errors, links.inertia_errors)
+    )
+    own = torque - inertia * links.qdd[:, :, None]
+    return replace(links, errors=own, inertia_errors=inertia)
+
+
+def _at_times(at: Array, time: Array, values: Array) -> Array:
+    """Return values (N, n, k) at other times (S, n, k)."""
+    flat = interpolate(at, time, values.reshape(len(values), -1))
+    return flat.reshape(len(at), *values.shape[1:])
+
+
+def _by_direction(at: Array, time: Array, values: Array) -> Array:
+    """Return values (N, n, J) at other times, direction first (J, S, n)."""
+    return np.moveaxis(_at_times(at, time, values), 2, 0)
 
 
 def make_tracks(
     robot: RobotModel, pieces: Sequence[Recording], window: float, most: int
 ) -> Tracks:
-    """Return the tracks of an arm's joints in windows of pieces of its logs.
-
-    Args:
-        robot: the arm as in the model file.
-        pieces: of logs, which have commands.
-        window: about the length of a window [s].
-        most: largest number of windows; they are spread evenly over the pieces.
-    """
-    n = robot.n_joints
-    factor = link_factor(robot, [*range(n)], LINK_SHARE)
-    links = [_links(robot, piece, factor) for piece in pieces]
-    together = np.concatenate([each.errors for each in links])
-    directions = []
-    for joint in range(n):
-        *_, rows = np.linalg.svd(together[:, joint], full_matrices=False)
-        directions.append(rows[:DIRECTIONS].T)
-    windows = []
-    for k, piece in enumerate(pieces):
-        length = piece.time[-1] - piece.time[0]
-        edges = np.linspace(0, len(piece) - 1, max(round(length / window), 1) + 1)
-        edges = np.round(edges).astype(int)
-        windows += [
-            (k, slice(first, last + 1)) for first, last in zip(edges, edges[1:])
-        ]
-    spread = np.linspace(0, len(windows) - 1, min(len(windows), most))
-    windows = [windows[k] for k in np.unique(np.round(spread).astype(int))]
-    lengths = [pieces[k].time[at][-1] - pieces[k].time[at][0] for k, at in windows]
-    most_samples = max(len(pieces[k].time[at]) for k, at in windows)
-    step = float(np.clip(longest_period(pieces) / STEPS_PER_SAMPLE, *STEPS))
-    n_steps = KEPT * (int(np.ceil(max(lengths) / (step * KEPT))) + 1)
-    before = round(MAX_DELAY / step) + 2
-    parts = []
-    for k, at in windows:
-        piece = pieces[k]
-        start = piece.time[at][0]
-        time = start + step * np.arange(n_steps)
-        early = start + step * np.arange(-before, n_steps)
-        # A command holds until the next one comes.
-        last = np.searchsorted(piece.time, early, side="right") - 1
-        along = links[k]
-        at_time = [
-            interpolate(time, piece.time, values)
-            for values in (along.torque, along.inertia, along.slope, along.middle)
-        ]
-        errors, inertia_errors = (
-            np.moveaxis(
-                np.array(
-                    [
-                        interpolate(time, piece.time, of[:, joint] @ directions[joint])
-                        for joint in range(n)
-                    ]
-                ),
-                (2, 1),
-                (0, 1),
-            )
-            for of in (along.own_errors, along.inertia_errors)
-        )
-        since = (piece.time[at] - start) / (step * KEPT)
-        gap = most_samples - len(since)
-        padded = np.pad(since, (0, gap))
-        sample = np.minimum(padded.astype(int), n_steps // KEPT - 1)
-        parts.append(
-            (
-                np.arange(n),
-                np.full(n, gain_of(piece.setting, pieces[0].setting)),
-                np.full(n, strength_of(piece.setting, pieces[0].setting)),
-                commands(piece)[np.maximum(last, 0)],
-                *at_time,
-                errors,
-                inertia_errors,
-                np.stack((piece.q[at][0], along.speed[at][0])),
-                np.tile(sample, (n, 1)),
-                np.tile(padded - sample, (n, 1)),
-                np.tile(np.arange(most_samples) < len(since), (n, 1)),
-                np.pad(piece.q[at], ((0, gap), (0, 0))).T,
-            )
-        )
-    axes = (0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 1, 0, 0, 0, 0)
-    return Tracks(
-        step, *(np.concatenate(rows, axis) for rows, axis in zip(zip(*parts), axes))
-    )
+    """Return tracks that are cut but once, see ``Courses.tracks``."""
+    return Courses(robot, pieces).tracks(window, most)
 
 
 def play(tracks: Tracks, numbers: Array, errors: Array, start: Array) -> Array:

@@ -39,6 +39,11 @@ LEAST_ERROR = 1e-4
 """Position error that no encoder of a servo shows [rad or m]: a fifteenth of a step of 4096."""
 FIRST_DAMPING = 1e-2
 """Levenberg's damping at first."""
+RELAXED = 0.2
+RAISED = 6.0
+"""Factors on Levenberg's damping after a step that was better, and one that was not."""
+LEAST_DAMPING = 1e-4
+"""Least damping: steps of less are those of Gauss and Newton."""
 FARTHEST_DAMPING = 1e4
 """Damping at which a search ends."""
 SMALL_GAIN = 0.02
@@ -179,7 +184,9 @@ class PlayedFit:
             missed[of_track] = missed_there[of_track]
             slopes[:, of_track] = slopes_there[:, of_track]
             damping = np.where(
-                is_better, np.maximum(0.2 * damping, 1e-4), 6.0 * damping
+                is_better,
+                np.maximum(RELAXED * damping, LEAST_DAMPING),
+                RAISED * damping,
             )
             if report is not None:
                 report(count, passes, self._sizes(missed))

@@ -22,7 +22,7 @@ from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.results.written_model import versions
 from robot_sysid.servo.advice import Advice, advice_lines, advice_of
 from robot_sysid.servo.derived import Derived, absolute_numbers, derived_numbers
-from robot_sysid.servo.fit import ServoFit
+from robot_sysid.servo.fit import LARGEST_ERROR, ServoFit
 from robot_sysid.servo.loop import rms
 from robot_sysid.servo.play import LINK_ERROR
 from robot_sysid.servo.unknowns import SLIP_SPEED
@@ -60,10 +60,6 @@ TAKEN = "taken to be that of all servos"
 """Reason of a number that is not searched."""
 NOT_SHOWN = "these logs do not show it"
 """Reason of a number that is no more than what is usual."""
-LARGEST_ERROR = 0.4
-"""Relative standard error up to which a number is identified."""
-SHOWN_WEIGHT = 0.1
-"""Largest error, over the largest weight of a joint over its gain, of the sag that is printed."""
 
 
 @dataclass(frozen=True)

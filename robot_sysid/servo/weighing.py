@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.servo.derived import drawn_poses, torque_at_rest
 from robot_sysid.servo.fit import ServoFit
@@ -77,7 +76,7 @@ def best_weighing(robot: RobotModel, fit: ServoFit) -> Weighing | None:
     if not np.any(is_unknown):
         return None
     q = drawn_poses(robot)
-    links = torque_at_rest(robot, q)
+    links = torque_at_rest(robot, q, robot.thetas)
     _, com, _ = com_from_theta(robot.thetas[-1])
     per_kg = _torque_per_kg(robot, q, com)
     strength = CARRIED * _least_limits(robot, fit)
@@ -105,8 +104,7 @@ def _torque_per_kg(robot: RobotModel, q: Array, com: Array) -> Array:
     """Return the torque (m, n) at rest of 1 kg at a point of the last link in poses q (m, n)."""
     thetas = np.zeros_like(robot.thetas)
     thetas[-1] = aluminium_ball(1.0, com)
-    at_rest = np.zeros_like(q)
-    return LinkDynamics(robot).motion(q, at_rest, at_rest).torque(thetas)
+    return torque_at_rest(robot, q, thetas)
 
 
 def _least_limits(robot: RobotModel, fit: ServoFit) -> Array:
