@@ -117,7 +117,7 @@ class PlayedFit:
         self.free = np.flatnonzero(is_free)
         self.n_links = len(tracks.errors) if with_links else 0
         self.count = len(likely_gain)
-        self.samples = self._by_problem(np.sum(tracks.is_sample, axis=1))
+        self.samples = self._by_problem(np.sum(tracks.is_sample, axis=1, dtype=float))
 
     def _by_problem(self, values: Array) -> Array:
         """Return the sums (P, ...) of values (T, ...) of each problem's tracks."""
