@@ -28,6 +28,7 @@ from robot_sysid.servo.loop import LEAST_MOTION, longest_period
 from robot_sysid.servo.play import Courses, Tracks
 from robot_sysid.servo.played_fit import PASSES, PlayedFit, Searched, Solved
 from robot_sysid.servo.unknowns import (
+    ABSENT,
     DEVIATIONS,
     IN_FILE,
     LEAST,
@@ -213,7 +214,7 @@ class ArmFit:
         """Return sets of unknowns (v, n, u) as they are known before; the first is the base."""
         rng = np.random.default_rng(0)
         drawn = self.mean + self.deviation * rng.normal(size=(DRAWS, *base.shape))
-        drawn = np.where(drawn > LEAST, drawn, np.abs(drawn))
+        drawn = np.where(drawn > LEAST, drawn, 2.0 * LEAST - drawn)
         is_drawn = np.isin(NAMES, free) & (np.arange(DRAWS) > 0)[:, None, None]
         return np.where(is_drawn, drawn, base)
 
@@ -367,7 +368,7 @@ def fit_servos(
     arm.know_time("command_delay", delay, 0.0)
     base = second.at.x.copy()
     for name in set(NAMES) - {*IN_FILE, "command_delay"}:
-        base[:, column(name)] = 0.0
+        base[:, column(name)] = ABSENT[column(name)]
     base = arm.with_delay(base)
     if before is None:
         base = arm.search("What the file holds", IN_FILE, base).at.x

@@ -57,7 +57,9 @@ UNKNOWNS = {
     "frictionloss": Unknown(usual_errors.SERVO_STICKING, 1.5, 0.05, 0.04, True),
     "armature": Unknown(usual_errors.SERVO_BANDWIDTH**-2.0, 1.5, 0.05, 0.04, True),
     "stribeck": Unknown(0.0, usual_errors.SERVO_STICKING, 0.1, 1e-4),
-    "load_share": Unknown(0.0, usual_errors.SERVO_LOAD_SHARE, 0.05, 0.01),
+    "load_share": Unknown(
+        usual_errors.SERVO_LOAD_SHARE, usual_errors.SERVO_LOAD_SHARE_SPREAD, 0.1, 0.01
+    ),
     "dead_zone": Unknown(0.0, usual_errors.SERVO_PLAY, 0.1, 3e-4),
     "command_delay": Unknown(0.0, usual_errors.SERVO_DELAY, 0.01, 1e-3),
     "loop_lag": Unknown(0.0, usual_errors.SERVO_LOOP_LAG, 0.1, 2e-3),
@@ -77,8 +79,10 @@ LEAST_ERRORS = np.array([each.misfit for each in UNKNOWNS.values()]) / DEVIATION
 """Error of each unknown by what real servos do otherwise, in its deviations."""
 _IS_LOGARITHM = np.array([unknown.is_logarithm for unknown in UNKNOWNS.values()])
 _IS_FREE = _IS_LOGARITHM | np.array([each.is_signed for each in UNKNOWNS.values()])
-LEAST = np.where(_IS_FREE, -np.inf, 0.0)
+LEAST = np.where(_IS_FREE, -np.inf, -_MEANS / DEVIATIONS)
 """Least value of each unknown in standard deviations from its mean."""
+ABSENT = np.where(_IS_FREE, 0.0, LEAST)
+"""Values of the unknowns where a servo has none of what they stand for."""
 
 
 def column(name: str) -> int:
