@@ -43,7 +43,11 @@ def servo_fit(
     for k, (name, unknown) in enumerate(UNKNOWNS.items()):
         value = values[name] / gain if name in OVER_GAIN else values[name]
         value = value / likely if name == "gain" else value
-        change = np.log(value / unknown.mean) if unknown.is_logarithm else value
+        change = (
+            np.log(value / unknown.mean)
+            if unknown.is_logarithm
+            else value - unknown.mean
+        )
         x[:, k] = change / unknown.deviation
     covariance = np.tile(error**2 * np.eye(len(NAMES)), (n, 1, 1))
     delay = float(values["command_delay"][0])
@@ -57,6 +61,7 @@ def servo_fit(
     return ServoFit(
         x=x,
         covariance=covariance,
+        x_given_links=x,
         given_links=covariance,
         likely_gain=likely,
         is_known=np.ones(n, dtype=bool),

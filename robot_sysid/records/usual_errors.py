@@ -195,6 +195,9 @@ SERVO_REACH = 0.5
 the logarithm has a standard deviation of one, as those of the next two have."""
 SERVO_LAG = 0.05
 """Damping of joint and servo together over the gain [s]."""
+SERVO_LIMITED_DAMPING = 0.3
+"""Share of this damping that a servo commands within its torque limit, less the model's: a small
+servo's back-EMF is beside its limit, the kd of a motor with a current loop within it."""
 SERVO_STICKING = 0.02
 """Dry friction over the gain: the position error that does not move a servo [rad]."""
 SERVO_LOAD_SHARE = 0.15

@@ -41,6 +41,7 @@ from robot_sysid.records.quantities import (
     principal_moments,
 )
 from robot_sysid.results.record import Payload
+from robot_sysid.simulation.playback import chain_actuators
 
 # Folder with a template for the plain form, for each of ``controllers.CHOICES`` but two, and for
 # each of ``controllers.SIMULATORS``.
@@ -71,6 +72,7 @@ POSITIVE = ("gain", "torque_limit", "damping", "armature")
 """Numbers without which there is no servo."""
 SERVO_NUMBERS = (
     *POSITIVE,
+    "limited_damping",
     "frictionloss",
     "stribeck",
     "load_share",
@@ -297,8 +299,12 @@ def _dc_motors(
 
     With torque constant k = d / t and resistance R = d / t^2, of damping d and torque limit t, the
     torque k (1 V - k v) / R at speed v is t - d v. The controller asks for gain times position
-    error, less d v, as far as the voltage suffices.
+    error, less d v and the servo's own damping, as far as the voltage suffices.
     """
+    actuators = chain_actuators(written)
+    own_damping = dict(
+        zip(written.joint_names, actuators.damping_share * actuators.damping)
+    )
     delay, _ = servos.delay
     late = ""
     if delay:
@@ -310,11 +316,12 @@ def _dc_motors(
             numbers.get, ("stiffness", "effort_limit", "damping")
         )
         if gain and limit and damping:
+            all_damping = damping + own_damping[name]
             lines.append(
                 f"<dcmotor name={quoteattr(name)} joint={quoteattr(name)} "
                 f'input="pos" motorconst="{damping / limit:.9g}" '
                 f'resistance="{damping / limit**2:.9g}" '
-                f'controller="{gain:.9g} 0 {damping:.9g} 0 0 1"{late}/>'
+                f'controller="{gain:.9g} 0 {all_damping:.9g} 0 0 1"{late}/>'
             )
     return lines
 

@@ -26,7 +26,7 @@ from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.servo.derived import derived_numbers, drawn_poses, torque_at_rest
 from robot_sysid.servo.fit import LARGEST_ERROR, ServoFit
 from robot_sysid.servo.play import Tracks, inertia_columns, make_tracks, play
-from robot_sysid.servo.unknowns import LEAST, column, numbers_at
+from robot_sysid.servo.unknowns import LEAST, MOST, column, numbers_at
 from robot_sysid.servo.windows import HIDDEN
 
 TIMES = (1.0, 1.5, 2.0, 3.0, 4.0)
@@ -255,8 +255,8 @@ def _drawn_numbers(fit: ServoFit) -> Array:
     normal = np.random.default_rng(0).normal(size=(DRAWS, *fit.x.shape))
     values, axes = np.linalg.eigh(fit.given_links)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    drawn = fit.x + np.einsum("nuk,dnk->dnu", root, normal)
-    x = np.concatenate((fit.x[None], np.maximum(drawn, LEAST)))
+    drawn = fit.x_given_links + np.einsum("nuk,dnk->dnu", root, normal)
+    x = np.concatenate((fit.x_given_links[None], np.clip(drawn, LEAST, MOST)))
     numbers = numbers_at(x)
     numbers[..., column("gain")] *= fit.likely_gain
     for name in ("command_delay", "zero"):

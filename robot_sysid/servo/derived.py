@@ -121,15 +121,16 @@ def derived_numbers(
         return by_name
 
     found = {}
+    x = fit.x_given_links
     for name, (unit, formula) in formulas.items():
-        slopes = np.empty_like(fit.x)
+        slopes = np.empty_like(x)
         for k in range(len(NAMES)):
             step = CHANGE * (np.arange(len(NAMES)) == k)
-            slopes[:, k] = (formula(at(fit.x + step)) - formula(at(fit.x - step))) / (
+            slopes[:, k] = (formula(at(x + step)) - formula(at(x - step))) / (
                 2.0 * CHANGE
             )
         variance = np.einsum("nk,nkl,nl->n", slopes, fit.given_links, slopes)
-        values = formula(at(fit.x))
+        values = formula(at(x))
         found[name] = Derived(unit, values, np.sqrt(np.maximum(variance, 0.0)))
     return found
 
@@ -142,6 +143,7 @@ def absolute_numbers(fit: ServoFit) -> dict[str, Derived]:
         "gain": "N·m/rad",
         "torque_limit": "N·m",
         "damping": "N·m·s/rad",
+        "limited_damping": "",
         "frictionloss": "N·m",
         "armature": "kg·m²",
         "stribeck": "N·m",

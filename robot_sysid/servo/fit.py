@@ -33,6 +33,7 @@ from robot_sysid.servo.unknowns import (
     IN_FILE,
     LEAST,
     LEAST_ERRORS,
+    MOST,
     NAMES,
     UNKNOWNS,
     column,
@@ -82,8 +83,9 @@ class ServoFit:
     Attributes:
         x: (n, u) of all that a servo does (``unknowns``), in deviations from their means.
         covariance: (n, u, u) of ``x``, errors of the links in it.
-        given_links: (n, u, u) the same if the links are those of the file, as ratios to their
-            weight have it.
+        x_given_links: (n, u) what is most likely if the links are those of the file: ratios to
+            their weight are of these.
+        given_links: (n, u, u) covariance of that.
         likely_gain: (n,) gains of which ``x`` has a factor [N m/rad].
         is_known: (n,) whether a joint moves enough to show its numbers.
         is_fast: (n,) whether a servo swings faster than the samples resolve: many sets of numbers
@@ -99,6 +101,7 @@ class ServoFit:
 
     x: Array
     covariance: Array
+    x_given_links: Array
     given_links: Array
     likely_gain: Array
     is_known: NDArray[np.bool_]
@@ -164,6 +167,9 @@ class ArmFit:
         shape = (len(self.moving), len(NAMES))
         self.mean = np.zeros(shape)
         self.deviation = np.ones(shape)
+        k = column("limited_damping")
+        in_model = chain_actuators(robot).damping_share[self.moving]
+        self.mean[:, k] = in_model / DEVIATIONS[k]
 
     def problem(
         self, length: float, free: Sequence[str], with_links: bool, copies: int = 1
@@ -215,6 +221,7 @@ class ArmFit:
         rng = np.random.default_rng(0)
         drawn = self.mean + self.deviation * rng.normal(size=(DRAWS, *base.shape))
         drawn = np.where(drawn > LEAST, drawn, 2.0 * LEAST - drawn)
+        drawn = np.minimum(drawn, MOST)
         is_drawn = np.isin(NAMES, free) & (np.arange(DRAWS) > 0)[:, None, None]
         return np.where(is_drawn, drawn, base)
 
@@ -349,7 +356,7 @@ def fit_servos(
     arm = ArmFit(robot, pieces, moving, progress)
     n = robot.n_joints
     if before is None:
-        start = np.zeros_like(arm.mean)
+        start = arm.mean.copy()
         first = arm.search("Servos, each joint by itself", NAMES, start)
         for name, spread in COMMON.items():
             time, error = common(name, first.at.x, first.covariance)
@@ -381,7 +388,8 @@ def fit_servos(
     given_links = covariance.copy()
     whole[arm.moving] = second.at.x
     covariance[arm.moving] = second.covariance[:, : len(NAMES), : len(NAMES)]
-    given_links[arm.moving] = _given_links(second.covariance)
+    x_given_links = whole.copy()
+    x_given_links[arm.moving], given_links[arm.moving] = _given_links(second)
     is_known = np.isin(np.arange(n), arm.moving)
     is_fast = is_too_fast(robot, whole, likely, pieces)
     misfit = np.where(
@@ -392,6 +400,7 @@ def fit_servos(
     return ServoFit(
         x=whole,
         covariance=covariance + misfit,
+        x_given_links=x_given_links,
         given_links=given_links + misfit,
         likely_gain=likely,
         is_known=is_known,
@@ -405,18 +414,14 @@ def fit_servos(
     )
 
 
-def _given_links(covariance: Array) -> Array:
-    """Return the covariance (n, u, u) of unknowns if the link errors beside them were known.
-
-    Args:
-        covariance: of unknowns and link errors (n, u + J, u + J).
-    """
+def _given_links(solved: Solved) -> tuple[Array, Array]:
+    """Return unknowns (n, u) and their covariance (n, u, u) if the links are those of the file."""
     u = len(NAMES)
-    own = covariance[:, :u, :u]
-    shared = covariance[:, :u, u:]
-    return np.asarray(
-        own - shared @ np.linalg.solve(covariance[:, u:, u:], np.swapaxes(shared, 1, 2))
-    )
+    own = solved.covariance[:, :u, :u]
+    shared = solved.covariance[:, :u, u:]
+    share = shared @ np.linalg.inv(solved.covariance[:, u:, u:])
+    x = solved.at.x - np.einsum("nul,nl->nu", share, solved.at.links)
+    return np.clip(x, LEAST, MOST), own - share @ np.swapaxes(shared, 1, 2)
 
 
 def is_too_fast(
@@ -471,7 +476,10 @@ def _in_file(
         shows, reached, np.maximum(limits[arm.moving], reached)
     )
     servo_damping = in_model.servo_damping.copy()
-    servo_damping[arm.moving] = 0.0
+    # A spring stands for the servo that a model does not have.
+    has_servo = np.isfinite(in_model.numbers[0])[arm.moving]
+    limited = has_servo * found[:, column("limited_damping")]
+    servo_damping[arm.moving] = limited * numbers[1, arm.moving]
     firmness = in_model.firmness.copy()
     firmness[arm.moving] = FIRM
     return ServoParameters(numbers, delay, limits, servo_damping, firmness)

@@ -399,6 +399,7 @@ class _Servos:
         dead_zone, least_zone: distance from a goal within which there is no torque, to both sides
             [rad or m].
         damping: of joint and servo [s].
+        limited: part of it that the servo commands, within its limit [s].
         coulomb, stribeck: friction, and what there is more of it at rest [rad or m].
         share: friction over the torque of motor and links.
         per_gain: one over the gain [rad/(N m)].
@@ -410,24 +411,39 @@ class _Servos:
     dead_zone: Array
     least_zone: Array
     damping: Array
+    limited: Array
     coulomb: Array
     stribeck: Array
     share: Array
     per_gain: Array
     rotor: Array
 
-    def motor_torque(self, error: Array) -> Array:
-        """Return the torque of servos by their position error, in the place of the error."""
+    def motor_torque(self, error: Array, qd: Array) -> Array:
+        """Return the damping beside the torque of servos, and their torque in the place of the
+        position error.
+
+        Within its limit a servo's own damping is part of that damping, so that steps are stable.
+        """
         within = np.minimum(error, self.dead_zone)
         np.maximum(within, self.least_zone, out=within)
         error -= within
-        np.minimum(error, self.limit, out=error)
-        np.maximum(error, self.least_limit, out=error)
-        return error
+        # Now the damping's torque.
+        np.multiply(self.limited, qd, out=within)
+        error -= within
+        held = np.minimum(error, self.limit)
+        np.maximum(held, self.least_limit, out=held)
+        is_at_limit = held != error
+        error += within
+        np.copyto(error, held, where=is_at_limit)
+        np.multiply(self.limited, is_at_limit, out=held)
+        return np.subtract(self.damping, held, out=held)
 
-    def friction(self, qd: Array, motor: Array, links: Array) -> Array:
-        """Return the friction that a motion at qd can have, whatever its direction."""
-        friction = motor - self.damping * qd
+    def friction(self, drive: Array, qd: Array, links: Array) -> Array:
+        """Return the friction that a motion at qd can have, whatever its direction.
+
+        ``drive``: torque of the servos less that of damping, in whose place the friction comes.
+        """
+        friction = drive
         friction += links
         np.abs(friction, out=friction)
         friction *= self.share
@@ -442,16 +458,19 @@ class _Servos:
         return friction
 
     def next_speed(
-        self, inertia: Array, qd: Array, motor: Array, links: Array
+        self, inertia: Array, qd: Array, error: Array, links: Array
     ) -> Array:
-        """Return the velocity at the end of a step, in the place of the motor's torque.
+        """Return the velocity at the end of a step, in the place of the position error.
 
         ``inertia``: of the links over the time step [N m s/rad].
         """
-        friction = self.friction(qd, motor, links)
+        damping = self.motor_torque(error, qd)
+        motor = error
+        friction = self.friction(motor - damping * qd, qd, links)
         mass = self.per_gain * inertia
         mass += self.rotor
-        decay = self.damping / mass
+        decay = damping
+        decay /= mass
         growth = 0.5 * decay
         growth += 1.0
         decay *= growth
@@ -477,13 +496,15 @@ def _servos(tracks: Tracks, own: Mapping[str, Array]) -> _Servos:
     """Return the numbers of a play from unknowns (v, T) by name."""
     # Numbers over the gain are those of the first recording's gain.
     per_scale = 1.0 / tracks.scale
+    damping = own["damping"] * per_scale
     limit = own["torque_limit"] * tracks.strength * per_scale
     return _Servos(
         limit=limit,
         least_limit=-limit,
         dead_zone=own["dead_zone"],
         least_zone=-own["dead_zone"],
-        damping=own["damping"] * per_scale,
+        damping=damping,
+        limited=own["limited_damping"] * damping,
         coulomb=own["frictionloss"] * per_scale,
         stribeck=own["stribeck"] * per_scale,
         share=own["load_share"],
@@ -513,12 +534,11 @@ def _positions(tracks: Tracks, numbers: Array, errors: Array, start: Array) -> A
             kept[k // KEPT] = q
         error = goals[k, timing_of]
         error -= q
-        motor = servos.motor_torque(error)
         links = q + zero
         links *= tracks.slope[k]
         links += asked[k, errors_of]
         links *= servos.per_gain
-        qd = servos.next_speed(inertia[k, errors_of], qd, motor, links)
+        qd = servos.next_speed(inertia[k, errors_of], qd, error, links)
         q = q + tracks.step * qd
     kept[-1] = q
     return kept

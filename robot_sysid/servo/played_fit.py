@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.records import Array
 from robot_sysid.servo.play import Tracks, play
-from robot_sysid.servo.unknowns import LEAST, STEPS, column, numbers_at
+from robot_sysid.servo.unknowns import LEAST, MOST, STEPS, column, numbers_at
 
 PASSES = 24
 """Largest number of steps of a search."""
@@ -46,6 +46,8 @@ LEAST_DAMPING = 1e-4
 """Least damping: steps of less are those of Gauss and Newton."""
 FARTHEST_DAMPING = 1e4
 """Damping at which a search ends."""
+CROSSING = 1e-12
+"""How far beyond a bound is rounding, in deviations."""
 SMALL_GAIN = 0.02
 """Gain of a step at which a search ends, of the sum of squares."""
 RENEWED = 3
@@ -289,7 +291,9 @@ class PlayedFit:
         ):
             if k < n_free:
                 free = self.free[k]
-                x[lane, :, free] = np.maximum(x[lane, :, free] + step, LEAST[free])
+                x[lane, :, free] = np.clip(
+                    x[lane, :, free] + step, LEAST[free], MOST[free]
+                )
             elif k < n_free + self.n_links:
                 links[lane, :, k - n_free] += step
             else:
@@ -339,31 +343,39 @@ class PlayedFit:
         """Return the place to which damped normal equations lead; bounds are kept."""
         matrix, pull, inverse, own_pull, shared = normal
         n_free = len(self.free)
-        least = np.full(pull.shape[1], -np.inf)
+        least, most = np.full((2, pull.shape[1]), [[-np.inf], [np.inf]])
         least[:n_free] = LEAST[self.free]
+        most[:n_free] = MOST[self.free]
         change = np.zeros_like(pull)
         for k in range(self.count):
             position = np.append(at.x[k, self.free], at.links[k, : self.n_links])
-            room = least - position
             damped = matrix[k] + damping[k] * np.diag(np.diag(matrix[k]))
-            is_held = np.zeros(len(position), dtype=bool)
-            while True:
-                change[k] = np.where(is_held, room, 0.0)
-                rest = -pull[k] - damped @ change[k]
-                index = np.flatnonzero(~is_held)
-                change[k, index] = np.linalg.solve(
-                    damped[np.ix_(index, index)], rest[index]
-                )
-                crosses = (change[k] < room - 1e-12) & ~is_held
-                if not np.any(crosses):
-                    break
-                is_held |= crosses
+            change[k] = _bounded(damped, -pull[k], least - position, most - position)
         change = np.clip(change, -LARGEST_STEP, LARGEST_STEP)
         x = at.x.copy()
         x[:, self.free] += change[:, :n_free]
-        x = np.maximum(x, LEAST)
+        x = np.clip(x, LEAST, MOST)
         links = at.links.copy()
         links[:, : self.n_links] += change[:, n_free:]
         toward = own_pull + np.einsum("tfs,tf->ts", shared, change[self.problem])
         start = at.start - np.einsum("tsr,tr->st", inverse, toward)
         return replace(at, x=x, links=links, start=start)
+
+
+def _bounded(matrix: Array, right: Array, least: Array, most: Array) -> Array:
+    """Return what solves equations (f, f), (f,) where what crosses its bounds (f,) is held there.
+
+    Bounds that were crossed stay active: the next step may leave them.
+    """
+    change = np.zeros_like(right)
+    is_held = np.zeros(len(right), dtype=bool)
+    while True:
+        free = np.flatnonzero(~is_held)
+        rest = right - matrix @ np.where(is_held, change, 0.0)
+        change[free] = np.linalg.solve(matrix[np.ix_(free, free)], rest[free])
+        within = np.clip(change, least, most)
+        crosses = (np.abs(within - change) > CROSSING) & ~is_held
+        if not np.any(crosses):
+            return change
+        change = np.where(crosses, within, change)
+        is_held |= crosses

@@ -42,6 +42,8 @@ IN_FILE = {
 """Numbers of a joint in a model file, in the order of ``ServoParameters``, and their units."""
 LIMIT = "torque_limit"
 """Name of the largest torque of a servo."""
+LIMITED = "limited_damping"
+"""Name of the share of damping that a servo commands within it."""
 FAST = (
     "the servo swings faster than the samples resolve, so that many numbers move alike: the file "
     "moves like the arm in motions like these, and no number of the servo is known; record at a "
@@ -116,7 +118,8 @@ class ServoIdentification:
         )
         in_file = dict(zip(IN_FILE, fit.in_file.numbers))
         in_file[LIMIT] = fit.in_file.limits
-        for name, unit in (*IN_FILE.items(), (LIMIT, "N·m")):
+        in_file[LIMITED] = fit.in_file.servo_damping / in_file["damping"]
+        for name, unit in (*IN_FILE.items(), (LIMIT, "N·m"), (LIMITED, "")):
             for k, of in enumerate(joints):
                 if self.is_new[k]:
                     model = float(in_model[name][k])
@@ -126,7 +129,9 @@ class ServoIdentification:
     def _in_model(self) -> dict[str, Array]:
         """Return name to numbers (n,) of the joints in the model."""
         servos = servos_in_model(self.robot)
-        return {**dict(zip(IN_FILE, servos.numbers)), LIMIT: servos.limits}
+        share = chain_actuators(self.robot).damping_share
+        numbers = dict(zip(IN_FILE, servos.numbers))
+        return {**numbers, LIMIT: servos.limits, LIMITED: share}
 
     def _rows(
         self, name: str, found: Derived, model: Array | None, reason: str
@@ -169,7 +174,7 @@ class ServoIdentification:
     def changes(self) -> Iterator[ElementChange]:
         """Yield the changes of the model file's joints and of their position actuators.
 
-        All damping is that of the joint, beside the servo's limit of torque, as back-EMF is. An
+        Damping beside the servo's limit of torque is that of the joint, as back-EMF is. An
         actuator's numbers are those at the motor: a gear g makes its gains g^2 times as large at
         the joint, and its torque g times.
         """
@@ -179,12 +184,14 @@ class ServoIdentification:
             numbers = dict(zip(IN_FILE, servos.numbers[:, k].tolist()))
             stiffness = numbers.pop("gain")
             numbers["solimpfriction"] = float(servos.firmness[k])
+            own_damping = float(servos.servo_damping[k])
+            numbers["damping"] -= own_damping
             yield ElementChange("joint", self.robot.joint_names[k], numbers)
             if np.isfinite(actuators.stiffness[k]):
                 gear = float(actuators.gear[k])
                 gains = {"kp": stiffness / gear**2}
-                if actuators.damping_share[k]:
-                    gains["kv"] = 0.0
+                if own_damping or actuators.damping_share[k]:
+                    gains["kv"] = own_damping / gear**2
                 if np.isfinite(servos.limits[k]):
                     gains["forcerange"] = float(servos.limits[k]) / abs(gear)
                 yield ElementChange("actuator", int(actuators.index[k]), gains)

@@ -2,12 +2,14 @@
 
 The servo of a joint with gain K drives rotor inertia A against the links' torque tau:
 
-    A qdd = clip(K beyond(c - q, dead zone), +-limit) - damping qd - friction - tau(q + zero)
+    A qdd = clip(K beyond(c - q, dead zone) - w damping qd, +-limit) - (1 - w) damping qd - friction
+            - tau(q + zero)
     friction = Coulomb + Stribeck exp(-(qd / SLIP_SPEED)^2) + share |motor + links|
     lag dc/dt = command(t - delay) - c
 
-The limit beside which the damping stands is that of a voltage: the line from a motor's stall torque
-to its speed without load. Friction that grows with the load of the gears, and its Stribeck part,
+The limit beside which damping stands (w = 0) is that of a voltage: the line from a motor's stall
+torque to its speed without load. Damping that a servo commands, by a gain of its own, is within its
+limit (w = 1). Friction that grows with the load of the gears, and its Stribeck part,
 are those of Duclusaud et al., "Extended friction models for the physics simulation of servo
 actuators" (2024), model M4.
 
@@ -40,6 +42,7 @@ class Unknown:
             stated.
         is_logarithm: whether the number is positive, and searched by its logarithm.
         is_signed: whether it may be negative.
+        most: its largest value.
     """
 
     mean: float
@@ -48,12 +51,16 @@ class Unknown:
     misfit: float
     is_logarithm: bool = False
     is_signed: bool = False
+    most: float = np.inf
 
 
 UNKNOWNS = {
     "gain": Unknown(1.0, usual_errors.SERVO_GAIN, 0.03, 0.03, True),
     "torque_limit": Unknown(usual_errors.SERVO_REACH, 1.0, 0.05, 0.02, True),
     "damping": Unknown(usual_errors.SERVO_LAG, 1.0, 0.05, 0.02, True),
+    "limited_damping": Unknown(
+        0.0, usual_errors.SERVO_LIMITED_DAMPING, 0.1, 0.05, most=1.0
+    ),
     "frictionloss": Unknown(usual_errors.SERVO_STICKING, 1.5, 0.05, 0.04, True),
     "armature": Unknown(usual_errors.SERVO_BANDWIDTH**-2.0, 1.5, 0.05, 0.04, True),
     "stribeck": Unknown(0.0, usual_errors.SERVO_STICKING, 0.1, 1e-4),
@@ -66,10 +73,18 @@ UNKNOWNS = {
     "zero": Unknown(0.0, usual_errors.SERVO_ZERO, 0.1, 1e-2, False, True),
 }
 """Name to unknown: the gain over its likely value; limit, damping, friction, rotor inertia and the
-Stribeck part over the gain [rad, s, rad, s^2, rad]; the share of the load that is friction; dead
-zone [rad]; delay and lag [s]; what the links are turned by where a position is zero [rad]."""
+Stribeck part over the gain [rad, s, rad, s^2, rad]; the share of the damping that the servo
+commands, within its limit; the share of the load that is friction; dead zone [rad]; delay and lag
+[s]; what the links are turned by where a position is zero [rad]."""
 NAMES = tuple(UNKNOWNS)
-IN_FILE = ("gain", "torque_limit", "damping", "frictionloss", "armature")
+IN_FILE = (
+    "gain",
+    "torque_limit",
+    "damping",
+    "limited_damping",
+    "frictionloss",
+    "armature",
+)
 """Those that MJCF holds: a position actuator with its range of forces, and a joint."""
 _COLUMN = {name: k for k, name in enumerate(NAMES)}
 _MEANS = np.array([unknown.mean for unknown in UNKNOWNS.values()])
@@ -81,6 +96,8 @@ _IS_LOGARITHM = np.array([unknown.is_logarithm for unknown in UNKNOWNS.values()]
 _IS_FREE = _IS_LOGARITHM | np.array([each.is_signed for each in UNKNOWNS.values()])
 LEAST = np.where(_IS_FREE, -np.inf, -_MEANS / DEVIATIONS)
 """Least value of each unknown in standard deviations from its mean."""
+MOST = (np.array([each.most for each in UNKNOWNS.values()]) - _MEANS) / DEVIATIONS
+"""Largest value of each unknown in standard deviations from its mean."""
 ABSENT = np.where(_IS_FREE, 0.0, LEAST)
 """Values of the unknowns where a servo has none of what they stand for."""
 

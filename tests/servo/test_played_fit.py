@@ -7,7 +7,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs.logs.servo_tracks import joined, numbers_of, play_once, track_of
 from robot_sysid.servo.play import DIRECTIONS
 from robot_sysid.servo.played_fit import PlayedFit, Searched
-from robot_sysid.servo.unknowns import LEAST, NAMES, UNKNOWNS, column, numbers_at
+from robot_sysid.servo.unknowns import (
+    ABSENT,
+    LEAST,
+    NAMES,
+    UNKNOWNS,
+    column,
+    numbers_at,
+)
 
 LIKELY_GAIN = 12.0
 TRUE = {
@@ -50,13 +57,14 @@ def fit_of(tracks, free=MOVING, with_links=False, n_problems=1):
 
 
 def place(**numbers):
-    """Unknowns (1, u) at some numbers, the others at their means."""
-    x = np.zeros((1, len(NAMES)))
+    """Unknowns (1, u) at some numbers, the others at their means, or absent."""
+    x = ABSENT[None].copy()
     for name, value in numbers.items():
         unknown = UNKNOWNS[name]
         if name == "gain":
             value = value / LIKELY_GAIN
-        size = np.log(value / unknown.mean) if unknown.is_logarithm else value
+        is_logarithm = unknown.is_logarithm
+        size = np.log(value / unknown.mean) if is_logarithm else value - unknown.mean
         x[0, column(name)] = size / unknown.deviation
     return x
 

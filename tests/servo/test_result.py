@@ -45,7 +45,7 @@ def test_each_number_has_a_row_of_each_joint():
     # The written model's numbers come last.
     is_file = [key[-1] for key in keys]
     assert is_file == sorted(is_file)
-    assert sum(is_file) == 2 * 5
+    assert sum(is_file) == 2 * 6
 
 
 def test_delays_are_that_of_the_commands_and_what_to_set_in_mujoco():
