@@ -315,7 +315,6 @@ def from_rest(tracks):
         (np.inf, 0.0, 1.0, 5e-4),
         (0.9, 0.05, 0.0, 2.5e-3),
         (0.9, 0.05, 0.6, 2.5e-3),
-        (0.9, 0.0, 1.0, 2.5e-3),
     ],
 )
 def test_a_joint_beside_one_that_stands_is_played_as_mujoco_plays_it(
