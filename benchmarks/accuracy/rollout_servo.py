@@ -39,6 +39,7 @@ STEP = np.radians(0.1)
 STRIBECK = 0.3
 """Friction at rest beyond Coulomb's, over it."""
 LOAD_SHARE = 0.1
+LOAD_STRIBECK = 0.1
 DEAD_ZONE = np.radians(0.3)
 LAG = 0.005
 
@@ -50,6 +51,7 @@ def true_arm(robot, rng):
         arm,
         stribeck=STRIBECK * arm.coulomb,
         load_share=LOAD_SHARE,
+        load_stribeck=LOAD_STRIBECK,
         dead_zone=DEAD_ZONE,
         lag=LAG,
     )
@@ -65,6 +67,7 @@ def true_numbers(arm) -> dict:
         "armature": arm.armature,
         "stribeck": arm.stribeck,
         "load_share": np.full_like(arm.coulomb, arm.load_share),
+        "load_stribeck": np.full_like(arm.coulomb, arm.load_stribeck),
         "dead_zone": np.full_like(arm.coulomb, arm.dead_zone),
         "loop_lag": np.full_like(arm.coulomb, arm.lag),
     }

@@ -3,7 +3,8 @@
 It shares no code with what is fitted to its logs, or with the rollouts that are tested on them.
 
     M qdd + bias = clip(stiffness beyond(c - q, dead zone), +-limit) - damping qd - friction
-    friction = coulomb + stribeck exp(-(qd / SLIP_SPEED)^2) + load_share |motor + bias|
+    friction = coulomb + load_share load + (stribeck + load_stribeck load) exp(-(qd / slip)^2)
+    load = |motor + bias|
     lag dc/dt = command(t - delay) - c
 
 with the motor's torque behind its limit and damping. Damping stands beside the limit, as back-EMF
@@ -22,8 +23,6 @@ from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.playback import chain_actuators
 
 TICK = 1e-3
-SLIP_SPEED = 0.1
-"""Speed over which friction at rest beyond Coulomb's fades [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +37,10 @@ class ServoArm:
         delay: delay of the commands [s].
         limit: (n,) largest torque of the servos [N m].
         dead_zone: (n,) distance from the command within which a servo gives no torque [rad].
-        stribeck: (n,) friction at rest beyond Coulomb's, which fades over ``SLIP_SPEED`` [N m].
+        stribeck: (n,) friction at rest beyond Coulomb's [N m].
         load_share: (n,) share of |motor + links' torque| that is friction.
+        load_stribeck: (n,) what this share is more at rest.
+        slip_speed: over which friction at rest fades [rad/s].
         lag: time constant with which a servo follows its commands [s].
     """
 
@@ -54,6 +55,8 @@ class ServoArm:
     dead_zone: np.ndarray | float = 0.0
     stribeck: np.ndarray | float = 0.0
     load_share: np.ndarray | float = 0.0
+    load_stribeck: np.ndarray | float = 0.0
+    slip_speed: float = 0.3
     lag: float = 0.0
 
     def play(self, time, command):
@@ -94,7 +97,8 @@ class ServoArm:
                 torque = np.where(free, spring, np.clip(asks, -self.limit, self.limit))
                 damping = self.damping - np.where(free, 0.0, self.servo_damping)
                 load = np.abs(torque - damping * arm.qd + arm.data.qfrc_bias[dofs])
-                sticking = self.stribeck * np.exp(-((arm.qd / SLIP_SPEED) ** 2))
+                fades = np.exp(-((arm.qd / self.slip_speed) ** 2))
+                sticking = (self.stribeck + self.load_stribeck * load) * fades
                 arm.coulomb = self.coulomb + sticking + self.load_share * load
                 arm.step(torque, damping)
         return positions

@@ -130,6 +130,7 @@ def card_of(folder) -> Card:
         armature=numbers["armature"],
         load_share=numbers["load_share"],
         stribeck=numbers["stribeck"],
+        load_stribeck=numbers["load_stribeck"],
         stribeck_speed=numbers["slip_speed"],
         stribeck_curve=2.0,
         delay=numbers["command_delay"],

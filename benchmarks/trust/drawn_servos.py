@@ -3,9 +3,10 @@
     OMP_NUM_THREADS=1 python -m benchmarks.trust.drawn_servos [FIRST] [BEYOND] [--write]
 
 Each arm is an SO-101 with links 10 to 20 % off its file (one of them 40 %), and servos, rotors,
-damping and Coulomb friction of its own. All have a limit of voltage beside which damping stands,
-friction at rest that fades over 0.1 rad/s, friction that grows with load, and a lag; half of the
-joints of every second arm have a dead zone of 0.2 to 1 degree. 40 s of sines and steps are logged
+damping and Coulomb friction of its own. All have a limit of voltage beside which damping stands (of
+every third arm, a part of it), friction that grows with load, friction at rest that fades over 0.15
+to 0.6 rad/s, and a lag; half of the joints of every second arm have a dead zone of 0.2 to 1 degree.
+ 40 s of sines and steps are logged
 at 25 to 200 Hz by encoders of 4096 steps a turn; commands act up to 0.1 s late. The arm is stepped
 by ``ArmStepper``, which shares no code with what fits it.
 
@@ -29,7 +30,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.servo_setting import UNKNOWN
-from robot_sysid.servo.derived import absolute_numbers, derived_numbers
+from robot_sysid.servo.derived import absolute_numbers, derived_numbers, largest_weights
 from robot_sysid.servo.fit import ServoFit, fit_servos
 from robot_sysid.servo.loop import rms
 from robot_sysid.servo.windows import ServoProblem
@@ -52,6 +53,8 @@ COULOMB = (0.03, 0.1)
 STRIBECK = (0.0, 1.0)
 """Friction at rest beyond Coulomb's, over it."""
 LOAD_SHARE = (0.0, 0.25)
+LOAD_STRIBECK = (0.0, 0.2)
+SLIP_SPEED = (0.15, 0.6)
 ROTOR = (0.5, 1.5)
 """Rotor inertia over the file's."""
 REACH = (0.15, 0.6)
@@ -59,6 +62,10 @@ REACH = (0.15, 0.6)
 LARGEST_DELAY = 0.1
 LARGEST_LAG = 0.02
 DEAD_ZONE = np.radians((0.2, 1.0))
+OF_WEIGHT = ("sag", "torque_over_weight")
+"""Numbers that joints without weight do not have."""
+LEAST_WEIGHT = 1e-3
+"""Weight that is none [N m]."""
 FAR = 2.5
 """Stated errors beyond which an error is counted."""
 
@@ -77,12 +84,16 @@ class Drawn:
 
 
 def draw(robot: RobotModel, seed: int) -> Drawn:
-    """Return an arm and its log; those of odd seeds have dead zones."""
+    """Return an arm and its log; those of odd seeds have dead zones, and the servos of every third
+    command damping within their limits.
+    """
     rng = np.random.default_rng(seed)
     n = robot.n_joints
     model = robot.mj_model.__copy__()
+    links = []
     for link, theta in zip(robot.links, wrong_links(robot, rng)):
         write_link(model, link, theta)
+        links.append(replace(link, theta=theta))
     rotor = rng.uniform(*ROTOR, n) * robot.armature
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature + rotor
     bandwidth = rng.uniform(*BANDWIDTH, n)
@@ -91,15 +102,18 @@ def draw(robot: RobotModel, seed: int) -> Drawn:
     coulomb = rng.uniform(*COULOMB, n)
     stribeck = rng.uniform(*STRIBECK, n) * coulomb
     load_share = rng.uniform(*LOAD_SHARE, n)
+    load_stribeck = rng.uniform(*LOAD_STRIBECK, n)
+    slip_speed = float(np.exp(rng.uniform(*np.log(SLIP_SPEED))))
+    limited = (seed % 3 == 0) * rng.uniform(size=n)
     has_dead_zone = (rng.uniform(size=n) < 0.5) & (seed % 2 == 1)
     dead_zone = has_dead_zone * rng.uniform(*DEAD_ZONE, n)
     limit = gain * rng.uniform(*REACH, n)
     lag = float(rng.uniform(0.0, LARGEST_LAG))
     arm = servo_arm.ServoArm(
-        robot=replace(robot, mj_model=model),
+        robot=replace(robot, mj_model=model, links=tuple(links)),
         stiffness=gain,
         damping=damping,
-        servo_damping=np.zeros(n),
+        servo_damping=limited * damping,
         coulomb=coulomb,
         armature=rotor,
         # The arm acts on commands at whole milliseconds.
@@ -108,6 +122,8 @@ def draw(robot: RobotModel, seed: int) -> Drawn:
         dead_zone=dead_zone,
         stribeck=stribeck,
         load_share=load_share,
+        load_stribeck=load_stribeck,
+        slip_speed=slip_speed,
         lag=lag,
     )
     rate = float(rng.choice(RATES))
@@ -121,6 +137,9 @@ def truths(arm: servo_arm.ServoArm) -> dict[str, np.ndarray]:
     """Return the true numbers (n,) of a drawn arm by name."""
     gain = arm.stiffness
     return {
+        "sag": largest_weights(arm.robot)[0] / gain,
+        "torque_over_weight": arm.limit
+        / np.maximum(largest_weights(arm.robot)[0], LEAST_WEIGHT),
         "dead_band": (arm.coulomb + arm.stribeck) / gain + arm.dead_zone,
         "friction_over_gain": arm.coulomb / gain,
         "damping_over_gain": arm.damping / gain,
@@ -132,6 +151,7 @@ def truths(arm: servo_arm.ServoArm) -> dict[str, np.ndarray]:
         "armature": arm.armature,
         "stribeck": arm.stribeck,
         "load_share": arm.load_share,
+        "load_stribeck": arm.load_stribeck,
         "dead_zone": arm.dead_zone,
         "loop_lag": np.full_like(gain, arm.lag),
     }
@@ -172,9 +192,11 @@ def offs(
     found = {**derived_numbers(robot, fit), **absolute_numbers(fit)}
     late = np.array([[fit.delay - arm.delay], [fit.delay_error], [arm.delay]])
     rows = {"delay": late}
+    carries = largest_weights(arm.robot)[0] > LEAST_WEIGHT
     for name, true in truths(arm).items():
-        values = found[name].values
-        rows[name] = np.stack((values - true, found[name].errors, true))
+        of = carries if name in OF_WEIGHT else np.ones_like(carries)
+        off = found[name].values - true
+        rows[name] = np.stack((off[of], found[name].errors[of], true[of]))
     return rows
 
 

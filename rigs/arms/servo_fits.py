@@ -5,11 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.records import DataOrigin, RobotModel
+from robot_sysid.estimate.links import link_factor
+from robot_sysid.records import Array, DataOrigin, RobotModel
 from robot_sysid.records.servo_setting import UNKNOWN, ServoSetting
+from robot_sysid.servo.derived import largest_weights
 from robot_sysid.servo.fit import FIRM, ServoFit, likely_gains
+from robot_sysid.servo.play import DIRECTIONS, LINK_SHARE
 from robot_sysid.servo.result import IN_FILE, ServoIdentification
-from robot_sysid.servo.unknowns import NAMES, UNKNOWNS
+from robot_sysid.servo.unknowns import NAMES, UNKNOWNS, column
 from robot_sysid.simulation.playback import ServoParameters
 
 USUAL = {
@@ -21,6 +24,29 @@ USUAL = {
 }
 """Numbers of a joint with which it creeps to its command: those that none is without."""
 OVER_GAIN = ("torque_limit", "damping", "frictionloss", "armature", "stribeck")
+
+
+def with_links(own: Array) -> Array:
+    """Return the covariance of unknowns (n, u, u) and of link errors that nothing shows."""
+    n, u, _ = own.shape
+    whole = np.tile(np.eye(u + DIRECTIONS), (n, 1, 1))
+    whole[:, :u, :u] = own
+    return whole
+
+
+def off_with_links(robot: RobotModel, fit: ServoFit, size: float = 0.2) -> ServoFit:
+    """Return a fit whose gains are off by a share as the weights are."""
+    k = column("gain")
+    first = len(NAMES)
+    weight, by_thetas = largest_weights(robot)
+    errors = np.einsum("nk,nk->n", by_thetas, fit.directions[:, :, 0])
+    covariance = fit.covariance.copy()
+    of_gain = size / UNKNOWNS["gain"].deviation
+    of_links = size * weight / np.maximum(errors, 1e-12)
+    covariance[:, k, k] += of_gain**2
+    covariance[:, k, first] = covariance[:, first, k] = of_gain * of_links
+    covariance[:, first, first] = of_links**2
+    return replace(fit, covariance=covariance)
 
 
 def servo_fit(
@@ -49,7 +75,15 @@ def servo_fit(
             else value - unknown.mean
         )
         x[:, k] = change / unknown.deviation
-    covariance = np.tile(error**2 * np.eye(len(NAMES)), (n, 1, 1))
+    u = len(NAMES)
+    own = np.tile(error**2 * np.eye(u), (n, 1, 1))
+    # The first link error is that of the joint's largest weight.
+    _, by_thetas = largest_weights(robot)
+    factor = link_factor(robot, [*range(n)], LINK_SHARE)
+    of_weight = by_thetas @ factor
+    of_weight /= np.maximum(np.linalg.norm(of_weight, axis=1), 1e-12)[:, None]
+    directions = np.zeros((n, 10 * n, DIRECTIONS))
+    directions[:, :, 0] = of_weight @ factor.T
     delay = float(values["command_delay"][0])
     in_file = ServoParameters(
         np.stack([values[name] for name in IN_FILE]),
@@ -60,9 +94,11 @@ def servo_fit(
     )
     return ServoFit(
         x=x,
-        covariance=covariance,
+        links=np.zeros((n, DIRECTIONS)),
+        covariance=with_links(own),
+        directions=directions,
         x_given_links=x,
-        given_links=covariance,
+        given_links=own,
         likely_gain=likely,
         is_known=np.ones(n, dtype=bool),
         is_fast=np.zeros(n, dtype=bool),

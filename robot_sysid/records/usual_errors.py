@@ -206,6 +206,11 @@ which two have 0.06 and 0.11 and five 0.14 to 0.24. A motion to one side alone d
 the gain."""
 SERVO_LOAD_SHARE_SPREAD = 0.08
 """Its standard deviation."""
+SERVO_LOAD_STICKING = 0.1
+"""What this share is more at rest: mean of six types of servos, which have 0 to 0.23; an XL330 has
+0.12 to 0.15 at two gains."""
+SERVO_LOAD_STICKING_SPREAD = 0.1
+"""Its standard deviation."""
 SERVO_PLAY = math.radians(0.5)
 """Dead zone of a servo where none is seen [rad]: the play that the makers of an SO-101 state."""
 SERVO_DELAY = 0.1

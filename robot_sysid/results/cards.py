@@ -76,6 +76,7 @@ SERVO_NUMBERS = (
     "frictionloss",
     "stribeck",
     "load_share",
+    "load_stribeck",
     "dead_zone",
     "loop_lag",
 )

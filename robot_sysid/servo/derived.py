@@ -2,9 +2,10 @@
 
 All of them are ratios to the gain or to the links' weight, which a motion shows whatever the links
 weigh. Weight is the largest torque at rest that gravity asks of a joint in any pose within the
-joints' limits. A standard error is the one of a first-order change of all numbers together.
+joints' limits, of links that are off as was found. A standard error is the one of a first-order
+change of all numbers together, link errors among them.
 
-n is the number of joints.
+n is the number of joints, u that of unknowns, J that of directions of link errors.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.estimate.links import link_factor
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.servo.fit import ServoFit
+from robot_sysid.servo.play import LINK_SHARE
 from robot_sysid.servo.unknowns import DEVIATIONS, NAMES, UNKNOWNS, numbers_at
 
 POSES = 400
@@ -61,16 +64,35 @@ def torque_at_rest(robot: RobotModel, q: Array, thetas: Array) -> Array:
     return LinkDynamics(robot).motion(q, at_rest, at_rest).torque(thetas)
 
 
-def largest_weights(robot: RobotModel) -> Array:
-    """Return the largest torque (n,) that gravity asks of each joint at rest [N m]."""
-    torque = torque_at_rest(robot, drawn_poses(robot), robot.thetas)
-    return np.asarray(np.max(np.abs(torque), axis=0))
+def largest_weights(robot: RobotModel) -> tuple[Array, Array]:
+    """Return the largest torque (n,) that gravity asks of each joint at rest [N m], and its
+    derivative (n, 10 n) by the links' thetas.
+    """
+    q = drawn_poses(robot)
+    at_rest = np.zeros_like(q)
+    motion = LinkDynamics(robot).motion(q, at_rest, at_rest)
+    torque = motion.torque(robot.thetas)
+    joints = np.arange(robot.n_joints)
+    pose = np.argmax(np.abs(torque), axis=0)
+    signs = np.sign(torque[pose, joints])
+    by_thetas = motion.columns(joints.tolist())[pose, joints]
+    return np.abs(torque[pose, joints]), signs[:, None] * by_thetas
 
 
-def _formulas(
-    weight: Array,
-) -> Mapping[str, tuple[str, Callable[[dict[str, Array]], Array]]]:
-    """Return name to unit and formula of numbers by name (n,), of weights (n,) [N m]."""
+def _added(robot: RobotModel, fit: ServoFit, by_thetas: Array) -> Array:
+    """Return what link errors add to weights (n, J + 1) with these derivatives (n, 10 n).
+
+    The last of them is what the errors add that no direction has: they move nothing in the logs.
+    """
+    links = [*range(robot.n_joints)]
+    all_errors = by_thetas @ link_factor(robot, links, LINK_SHARE)
+    added = np.einsum("nk,nkj->nj", by_thetas, fit.directions)
+    unseen = np.sum(all_errors**2, axis=1) - np.sum(added**2, axis=1)
+    return np.column_stack((added, np.sqrt(np.maximum(unseen, 0.0))))
+
+
+def _formulas() -> Mapping[str, tuple[str, Callable[[dict[str, Array]], Array]]]:
+    """Return name to unit and formula of numbers by name (n,), "weight" [N m] among them."""
 
     def dead_band(at: dict[str, Array]) -> Array:
         """Return the position error up to which a joint without load does not move."""
@@ -78,7 +100,7 @@ def _formulas(
 
     def sag(at: dict[str, Array]) -> Array:
         """Return the position error that carries the largest weight."""
-        return weight / at["gain"]
+        return at["weight"] / at["gain"]
 
     def even_speed(at: dict[str, Array]) -> Array:
         """Return the speed at which viscous friction equals dry friction."""
@@ -86,7 +108,7 @@ def _formulas(
 
     def strength(at: dict[str, Array]) -> Array:
         """Return the largest torque over the largest weight."""
-        return at["torque_limit"] * at["gain"] / np.maximum(weight, 1e-12)
+        return at["torque_limit"] * at["gain"] / np.maximum(at["weight"], 1e-12)
 
     return {
         "dead_band": ("rad", dead_band),
@@ -109,28 +131,32 @@ def derived_numbers(
         times: gain of which the numbers are, over that of the fit: friction and the torque limit
             do not follow a gain that is set.
     """
-    formulas = _formulas(largest_weights(robot))
+    weight, by_thetas = largest_weights(robot)
+    added = _added(robot, fit, by_thetas)
+    u = len(NAMES)
 
-    def at(x: Array) -> dict[str, Array]:
-        """Return numbers of all joints by name at unknowns x (n, u)."""
-        numbers = numbers_at(x)
+    def at(whole: Array) -> dict[str, Array]:
+        """Return numbers of all joints by name at unknowns and link errors (n, u + J + 1)."""
+        numbers = numbers_at(whole[:, :u])
         numbers[:, 0] *= fit.likely_gain * times
         by_name = dict(zip(NAMES, numbers.T))
         for name in TIMES_GAIN:
             by_name[name] = by_name[name] / times
-        return by_name
+        of_links = np.sum(added * whole[:, u:], axis=1)
+        return {**by_name, "weight": np.maximum(weight + of_links, 0.0)}
 
+    whole = np.column_stack((fit.x, fit.links, np.zeros(len(fit.x))))
+    covariance = np.tile(np.eye(whole.shape[1]), (len(whole), 1, 1))
+    covariance[:, :-1, :-1] = fit.covariance
     found = {}
-    x = fit.x_given_links
-    for name, (unit, formula) in formulas.items():
-        slopes = np.empty_like(x)
-        for k in range(len(NAMES)):
-            step = CHANGE * (np.arange(len(NAMES)) == k)
-            slopes[:, k] = (formula(at(x + step)) - formula(at(x - step))) / (
-                2.0 * CHANGE
-            )
-        variance = np.einsum("nk,nkl,nl->n", slopes, fit.given_links, slopes)
-        values = formula(at(x))
+    for name, (unit, formula) in _formulas().items():
+        slopes = np.empty_like(whole)
+        for k in range(whole.shape[1]):
+            step = CHANGE * (np.arange(whole.shape[1]) == k)
+            more, less = formula(at(whole + step)), formula(at(whole - step))
+            slopes[:, k] = (more - less) / (2.0 * CHANGE)
+        variance = np.einsum("nk,nkl,nl->n", slopes, covariance, slopes)
+        values = formula(at(whole))
         found[name] = Derived(unit, values, np.sqrt(np.maximum(variance, 0.0)))
     return found
 
@@ -148,6 +174,7 @@ def absolute_numbers(fit: ServoFit) -> dict[str, Derived]:
         "armature": "kg·m²",
         "stribeck": "N·m",
         "load_share": "",
+        "load_stribeck": "",
         "dead_zone": "rad",
         "loop_lag": "s",
     }
@@ -162,7 +189,8 @@ def absolute_numbers(fit: ServoFit) -> dict[str, Derived]:
             slopes *= gain
             slopes[:, 0] += DEVIATIONS[0] * gain[:, 0] * values
             values = gain[:, 0] * values
-        variance = np.einsum("nk,nkl,nl->n", slopes, fit.covariance, slopes)
+        own = fit.covariance[:, : len(NAMES), : len(NAMES)]
+        variance = np.einsum("nk,nkl,nl->n", slopes, own, slopes)
         found[name] = Derived(unit, values, np.sqrt(np.maximum(variance, 0.0)))
     return found
 

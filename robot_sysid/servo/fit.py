@@ -82,9 +82,10 @@ class ServoFit:
 
     Attributes:
         x: (n, u) of all that a servo does (``unknowns``), in deviations from their means.
-        covariance: (n, u, u) of ``x``, errors of the links in it.
-        x_given_links: (n, u) what is most likely if the links are those of the file: ratios to
-            their weight are of these.
+        links: (n, J) errors of the links that go with ``x``, in their directions.
+        covariance: (n, u + J, u + J) of both together.
+        directions: (n, 10 n, J) what these errors are, see ``Courses``.
+        x_given_links: (n, u) what is most likely if the links are those of the file.
         given_links: (n, u, u) covariance of that.
         likely_gain: (n,) gains of which ``x`` has a factor [N m/rad].
         is_known: (n,) whether a joint moves enough to show its numbers.
@@ -100,7 +101,9 @@ class ServoFit:
     """
 
     x: Array
+    links: Array
     covariance: Array
+    directions: Array
     x_given_links: Array
     given_links: Array
     likely_gain: Array
@@ -162,7 +165,7 @@ class ArmFit:
         self._progress = progress
         self.moving = moving
         self.likely_gain = likely_gains(robot)[self.moving]
-        self._courses = Courses(robot, pieces)
+        self.courses = Courses(robot, pieces)
         self._tracks: dict[float, Tracks] = {}
         shape = (len(self.moving), len(NAMES))
         self.mean = np.zeros(shape)
@@ -176,7 +179,7 @@ class ArmFit:
     ) -> PlayedFit:
         """Return the search of some unknowns in windows of a length, of copies of each joint."""
         if length not in self._tracks:
-            tracks = self._courses.tracks(length, MAX_WINDOWS)
+            tracks = self.courses.tracks(length, MAX_WINDOWS)
             is_moving = np.isin(tracks.joint, self.moving)
             self._tracks[length] = tracks.at(np.flatnonzero(is_moving))
         tracks = self._tracks[length]
@@ -383,25 +386,27 @@ def fit_servos(
         base = before.held_x
     held = arm.refine("What the file holds, in long windows", IN_FILE, base, False)
     likely = likely_gains(robot)
-    whole = np.zeros((n, len(NAMES)))
-    covariance = np.tile(np.eye(len(NAMES)), (n, 1, 1))
-    given_links = covariance.copy()
-    whole[arm.moving] = second.at.x
-    covariance[arm.moving] = second.covariance[:, : len(NAMES), : len(NAMES)]
-    x_given_links = whole.copy()
-    x_given_links[arm.moving], given_links[arm.moving] = _given_links(second)
+    n_unknowns = len(NAMES)
+    n_all = second.covariance.shape[1]
+    whole = np.zeros((n, n_all))
+    whole[arm.moving] = np.hstack((second.at.x, second.at.links))
+    covariance = np.tile(np.eye(n_all), (n, 1, 1))
+    covariance[arm.moving] = second.covariance
     is_known = np.isin(np.arange(n), arm.moving)
-    is_fast = is_too_fast(robot, whole, likely, pieces)
-    misfit = np.where(
-        is_fast[:, None, None],
-        np.eye(len(NAMES)) / np.minimum(DEVIATIONS, 1.0) ** 2,
-        np.diag(LEAST_ERRORS**2),
-    )
+    x = whole[:, :n_unknowns]
+    is_fast = is_too_fast(robot, x, likely, pieces)
+    unresolved = np.minimum(DEVIATIONS, 1.0) ** -2.0
+    misfit = np.where(is_fast[:, None], unresolved, LEAST_ERRORS**2)
+    known = np.arange(n_unknowns)
+    covariance[:, known, known] += misfit
+    x_given_links, given_links = _given_links(whole, covariance)
     return ServoFit(
-        x=whole,
-        covariance=covariance + misfit,
+        x=x,
+        links=whole[:, n_unknowns:],
+        covariance=covariance,
+        directions=arm.courses.directions,
         x_given_links=x_given_links,
-        given_links=given_links + misfit,
+        given_links=given_links,
         likely_gain=likely,
         is_known=is_known,
         is_fast=is_fast & is_known,
@@ -414,14 +419,19 @@ def fit_servos(
     )
 
 
-def _given_links(solved: Solved) -> tuple[Array, Array]:
-    """Return unknowns (n, u) and their covariance (n, u, u) if the links are those of the file."""
+def _given_links(whole: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return unknowns (n, u) and their covariance (n, u, u) if the links are those of the file.
+
+    Args:
+        whole: unknowns and link errors (n, u + J).
+        covariance: of both (n, u + J, u + J).
+    """
     u = len(NAMES)
-    own = solved.covariance[:, :u, :u]
-    shared = solved.covariance[:, :u, u:]
-    share = shared @ np.linalg.inv(solved.covariance[:, u:, u:])
-    x = solved.at.x - np.einsum("nul,nl->nu", share, solved.at.links)
-    return np.clip(x, LEAST, MOST), own - share @ np.swapaxes(shared, 1, 2)
+    shared = covariance[:, :u, u:]
+    share = shared @ np.linalg.inv(covariance[:, u:, u:])
+    x = whole[:, :u] - np.einsum("nuj,nj->nu", share, whole[:, u:])
+    own = covariance[:, :u, :u] - share @ np.swapaxes(shared, 1, 2)
+    return np.clip(x, LEAST, MOST), own
 
 
 def is_too_fast(

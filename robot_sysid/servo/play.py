@@ -38,7 +38,7 @@ STEPS_PER_SAMPLE = 12.0
 """Time steps between samples, within ``STEPS``."""
 FADED = 40.0
 """Exponent at which friction has faded: what is less takes a processor long."""
-TOGETHER = 40
+TOGETHER = 42
 """Sets of numbers that are played together: more do not fit into a processor's cache."""
 KEPT = 4
 """Steps between positions that are kept; samples between them are interpolated."""
@@ -212,6 +212,10 @@ class Courses:
     Args:
         robot: the arm as in the model file.
         pieces: of logs, which have commands.
+
+    Attributes:
+        directions: (n, 10 n, J) of each joint the thetas of all links by one standard deviation of
+            each direction of link errors.
     """
 
     def __init__(self, robot: RobotModel, pieces: Sequence[Recording]) -> None:
@@ -225,6 +229,7 @@ class Courses:
             *_, rows = np.linalg.svd(of_joint, full_matrices=False)
             directions.append(rows[:DIRECTIONS].T)
         self._links = [_in_directions(each, directions) for each in links]
+        self.directions = np.stack([factor @ each for each in directions])
 
     def tracks(self, window: float, most: int) -> Tracks:
         """Return the tracks of all joints in windows of the pieces.
@@ -415,6 +420,7 @@ class _Servos:
     coulomb: Array
     stribeck: Array
     share: Array
+    load_stribeck: Array
     per_gain: Array
     rotor: Array
 
@@ -446,6 +452,8 @@ class _Servos:
         friction = drive
         friction += links
         np.abs(friction, out=friction)
+        sticks = friction * self.load_stribeck
+        sticks += self.stribeck
         friction *= self.share
         friction += self.coulomb
         fades = qd * (1.0 / SLIP_SPEED)
@@ -453,7 +461,7 @@ class _Servos:
         np.minimum(fades, FADED, out=fades)
         np.negative(fades, out=fades)
         np.exp(fades, out=fades)
-        fades *= self.stribeck
+        fades *= sticks
         friction += fades
         return friction
 
@@ -508,6 +516,7 @@ def _servos(tracks: Tracks, own: Mapping[str, Array]) -> _Servos:
         coulomb=own["frictionloss"] * per_scale,
         stribeck=own["stribeck"] * per_scale,
         share=own["load_share"],
+        load_stribeck=own["load_stribeck"],
         per_gain=1.0 / (own["gain"] * tracks.scale),
         rotor=own["armature"] * per_scale / tracks.step,
     )

@@ -4,13 +4,14 @@ The servo of a joint with gain K drives rotor inertia A against the links' torqu
 
     A qdd = clip(K beyond(c - q, dead zone) - w damping qd, +-limit) - (1 - w) damping qd - friction
             - tau(q + zero)
-    friction = Coulomb + Stribeck exp(-(qd / SLIP_SPEED)^2) + share |motor + links|
+    friction = Coulomb + share load + (Stribeck + more load) exp(-(qd / SLIP_SPEED)^2)
+    load = |motor + links|
     lag dc/dt = command(t - delay) - c
 
 The limit beside which damping stands (w = 0) is that of a voltage: the line from a motor's stall
 torque to its speed without load. Damping that a servo commands, by a gain of its own, is within its
-limit (w = 1). Friction that grows with the load of the gears, and its Stribeck part,
-are those of Duclusaud et al., "Extended friction models for the physics simulation of servo
+limit (w = 1). Friction that grows with the load of the gears, and the Stribeck part of
+both, are those of Duclusaud et al., "Extended friction models for the physics simulation of servo
 actuators" (2024), model M4.
 
 All torques are taken over the gain, so that the links' torque alone shows the gain: a motion shows
@@ -26,8 +27,9 @@ import numpy as np
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.records import Array
 
-SLIP_SPEED = 0.1
-"""Speed over which the Stribeck part of friction fades [rad/s or m/s]."""
+SLIP_SPEED = 0.3
+"""Speed over which the Stribeck part of friction fades [rad/s or m/s]: of 0.05, 0.1, 0.3 and 1 the
+one with which recordings of an XL330 are played best."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,12 @@ UNKNOWNS = {
     "load_share": Unknown(
         usual_errors.SERVO_LOAD_SHARE, usual_errors.SERVO_LOAD_SHARE_SPREAD, 0.1, 0.01
     ),
+    "load_stribeck": Unknown(
+        usual_errors.SERVO_LOAD_STICKING,
+        usual_errors.SERVO_LOAD_STICKING_SPREAD,
+        0.1,
+        0.01,
+    ),
     "dead_zone": Unknown(0.0, usual_errors.SERVO_PLAY, 0.1, 3e-4),
     "command_delay": Unknown(0.0, usual_errors.SERVO_DELAY, 0.01, 1e-3),
     "loop_lag": Unknown(0.0, usual_errors.SERVO_LOOP_LAG, 0.1, 2e-3),
@@ -74,8 +82,8 @@ UNKNOWNS = {
 }
 """Name to unknown: the gain over its likely value; limit, damping, friction, rotor inertia and the
 Stribeck part over the gain [rad, s, rad, s^2, rad]; the share of the damping that the servo
-commands, within its limit; the share of the load that is friction; dead zone [rad]; delay and lag
-[s]; what the links are turned by where a position is zero [rad]."""
+commands, within its limit; the share of the load that is friction, and what it is more at rest;
+dead zone [rad]; delay and lag [s]; what the links are turned by where a position is zero [rad]."""
 NAMES = tuple(UNKNOWNS)
 IN_FILE = (
     "gain",

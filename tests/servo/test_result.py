@@ -7,7 +7,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from rigs.arms.servo_fits import FOUND, found_fit, identification_of
+from rigs.arms.servo_fits import FOUND, found_fit, identification_of, off_with_links
 from rigs.arms.small_arms import robot_of
 from rigs.files.schemas import schema
 from rigs.logs.servo_logs import SERVOS, XML
@@ -21,7 +21,7 @@ from robot_sysid.servo.result import (
     servo_lines,
     servo_notes,
 )
-from robot_sysid.servo.unknowns import NAMES, UNKNOWNS, column
+from robot_sysid.servo.unknowns import NAMES, UNKNOWNS
 
 ROBOT = robot_of(XML)
 GEARED = XML.replace('biasprm="0 -100 -2"', 'biasprm="0 -100 -2" gear="-2"')
@@ -71,9 +71,8 @@ def test_numbers_of_the_model_stand_beside_those_that_it_has():
 def test_a_number_that_the_logs_do_not_show_is_not_one_of_theirs():
     """It goes with the others of its joint, and its cell is a question mark."""
     fit = found_fit(ROBOT)
-    k = column("gain")
     covariance = fit.covariance.copy()
-    covariance[1, k, k] = 4.0
+    covariance[1] = off_with_links(ROBOT, fit, 0.6).covariance[1]
     result = identification_of(ROBOT, replace(fit, covariance=covariance))
     rows = rows_of(result)
     assert ("data", "gain", "joint0") in rows

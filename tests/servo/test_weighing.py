@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.arms.servo_fits import identification_of, servo_fit
+from rigs.arms.servo_fits import identification_of, servo_fit, with_links
 from rigs.arms.small_arms import robot_of
 from rigs.logs import servo_logs
 from robot_sysid.config import IdentifyConfig
@@ -37,7 +37,7 @@ def unsure_fit(robot, by_links=0.4, given_links=0.01, **numbers):
     inner[:, GAIN, GAIN] = (np.hypot(given_links, MISFIT) / DEVIATIONS[GAIN]) ** 2
     outer = inner.copy()
     outer[:, GAIN, GAIN] += (by_links / DEVIATIONS[GAIN]) ** 2
-    return replace(fit, given_links=inner, covariance=outer)
+    return replace(fit, given_links=inner, covariance=with_links(outer))
 
 
 def test_the_heaviest_weight_that_servos_carry_is_chosen(robot):
