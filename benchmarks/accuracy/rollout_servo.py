@@ -26,7 +26,8 @@ from robot_sysid.config import IdentifyConfig
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.quantities import FILE
-from robot_sysid.servo import HELD_OUT_SHARE, run_servo
+from robot_sysid.servo import run_servo
+from robot_sysid.servo.held_out import hold_out
 from robot_sysid.servo.loop import rms
 from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.simulation.playback import servos_in_model
@@ -90,8 +91,7 @@ def main(*names: str) -> None:
             outcome = run_servo(config, robot, Progress())
             spent = time.process_time() - begun
             piece = open_log(robot, log, replace(config.log, commanded=True))
-            first = round((1.0 - HELD_OUT_SHARE) * len(piece))
-            held = piece[first:]
+            _, held = hold_out(piece)
         report(name, arm, robot, outcome, held, spent)
 
 

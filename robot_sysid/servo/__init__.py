@@ -38,6 +38,7 @@ from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.written_model import write_joints
 from robot_sysid.servo.command_check import check_commands
 from robot_sysid.servo.fit import ServoFit, fit_servos
+from robot_sysid.servo.held_out import hold_out
 from robot_sysid.servo.loop import goal_error, rms
 from robot_sysid.servo.result import ServoIdentification, servo_lines, servo_notes
 from robot_sysid.servo.windows import ServoProblem
@@ -45,8 +46,6 @@ from robot_sysid.signals.resampling import split_at_gaps
 from robot_sysid.simulation.playback import ServoParameters, servos_in_model
 from robot_sysid.wording import option_setting
 
-HELD_OUT_SHARE = 0.2
-"""Share of each log, its end, that is not fitted where there is no validation log."""
 StepAfter = Callable[[ServoIdentification], Optional[NextStep]]
 """Returns what to do after a result that may be used; None for nothing more."""
 FINE_STEP = 0.0005
@@ -160,9 +159,9 @@ def identify_servos(
 ) -> tuple[ServoIdentification, Motion]:
     """Identify servos, friction and rotor inertia; return the result and poses from the logs.
 
-    The poses are a motion (m, n) without velocity; the written model is checked there. The
-    beginnings of the logs are fitted and their ends, or the validation log, are held out to judge
-    the numbers. Ends that were held out are fitted with the rest once the numbers were judged.
+    The poses are a motion (m, n) without velocity; the written model is checked there. Blocks of
+    the logs, or the validation log, are held out to judge the numbers. Blocks that were held out
+    are fitted with the rest once the numbers were judged.
 
     Args:
         robot: the arm as in the model file.
@@ -181,16 +180,16 @@ def identify_servos(
     held_out: list[Recording] = [*chain(*map(split_at_gaps, tests))]
     whole = fitted
     if not tests:
-        ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]
-        held_out = [piece[end:] for piece, end in zip(fitted, ends)]
-        fitted = [piece[:end] for piece, end in zip(fitted, ends)]
+        parts = [hold_out(piece) for piece in fitted]
+        fitted = [part for part, _ in parts]
+        held_out = [part for _, part in parts]
     fit = fit_servos(robot, fitted, progress)
     first = fitted[0].setting
     problem = ServoProblem(robot, fitted, first, fit.delay)
     test_problem = ServoProblem(robot, held_out, first, fit.delay)
     is_new, before, after, fitted_error = judged(fit, problem, test_problem)
     if not tests:
-        # Judged without their ends, the numbers that are used follow from all of the logs.
+        # Judged without these blocks, the numbers that are used follow from all of the logs.
         fit = fit_servos(robot, whole, progress, fit)
     result = ServoIdentification(
         robot=robot,

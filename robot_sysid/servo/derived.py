@@ -143,7 +143,7 @@ def derived_numbers(
         for name in TIMES_GAIN:
             by_name[name] = by_name[name] / times
         of_links = np.sum(added * whole[:, u:], axis=1)
-        return {**by_name, "weight": np.maximum(weight + of_links, 0.0)}
+        return {**by_name, "weight": np.abs(weight + of_links)}
 
     whole = np.column_stack((fit.x, fit.links, np.zeros(len(fit.x))))
     covariance = np.tile(np.eye(whole.shape[1]), (len(whole), 1, 1))

@@ -134,12 +134,13 @@ def likely_gains(robot: RobotModel) -> Array:
 
 def moving_joints(pieces: Sequence[Recording]) -> NDArray[np.int64]:
     """Return the numbers of the joints that move in pieces of logs; InputError for none."""
-    ranges = np.max([np.ptp(piece.q, axis=0) for piece in pieces], axis=0)
+    used = [piece.q[~piece.is_left_out] for piece in pieces]
+    ranges = np.max([np.ptp(q, axis=0) for q in used], axis=0)
     moving = np.flatnonzero(ranges >= LEAST_MOTION)
     if not len(moving):
         raise InputError(
             f"no joint moves by {LEAST_MOTION:g} rad (m of a slide) in what is fitted, which is "
-            "all of a log but its last fifth where there is no validation log; record a longer "
+            "four fifths of a log where there is no validation log; record a longer "
             f"motion, or give another log with {option_name('validation_measurements')}"
         )
     return moving

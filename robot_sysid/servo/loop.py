@@ -40,6 +40,13 @@ def commands(piece: Recording) -> Array:
     return piece.command
 
 
+def stretches(piece: Recording) -> list[slice]:
+    """Return the stretches of a piece, of two samples at least, between those that are left out."""
+    used = np.flatnonzero(~piece.is_left_out)
+    parts = np.split(used, np.flatnonzero(np.diff(used) > 1) + 1)
+    return [slice(part[0], part[-1] + 1) for part in parts if len(part) > 1]
+
+
 def longest_period(pieces: Sequence[Recording]) -> float:
     """Return the longest sampling period of pieces [s]."""
     return max(sampling_period(piece.time) for piece in pieces)
@@ -83,7 +90,8 @@ def distances(pieces: Sequence[Recording], delay: float) -> Array:
     found = []
     for piece in pieces:
         at = np.searchsorted(piece.time, piece.time - delay, side="right") - 1
-        found.append(commands(piece)[np.maximum(at, 0)] - piece.q)
+        distance = commands(piece)[np.maximum(at, 0)] - piece.q
+        found.append(distance[~piece.is_left_out])
     return np.concatenate(found)
 
 

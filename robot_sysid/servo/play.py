@@ -27,7 +27,13 @@ import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.links import EXPECTED, link_factor
 from robot_sysid.records import Array, Recording, RobotModel
-from robot_sysid.servo.loop import MAX_DELAY, commands, longest_period, low_pass_motion
+from robot_sysid.servo.loop import (
+    MAX_DELAY,
+    commands,
+    longest_period,
+    low_pass_motion,
+    stretches,
+)
 from robot_sysid.servo.setting import gain_of, links_of, strength_of
 from robot_sysid.servo.unknowns import NAMES, SLIP_SPEED
 from robot_sysid.simulation.playback import interpolate
@@ -251,11 +257,15 @@ class Courses:
         """Return windows as a piece's number and its samples; see ``tracks``."""
         windows = []
         for k, piece in enumerate(self._pieces):
-            count = max(round((piece.time[-1] - piece.time[0]) / window), 1)
-            edges = np.round(np.linspace(0, len(piece) - 1, count + 1)).astype(int)
-            windows += [
-                (k, slice(first, last + 1)) for first, last in zip(edges, edges[1:])
-            ]
+            for rows in stretches(piece):
+                last = rows.stop - 1
+                count = max(
+                    round((piece.time[last] - piece.time[rows.start]) / window), 1
+                )
+                edges = np.linspace(rows.start, last, count + 1).round().astype(int)
+                windows += [
+                    (k, slice(first, end + 1)) for first, end in zip(edges, edges[1:])
+                ]
         spread = np.linspace(0, len(windows) - 1, min(len(windows), most))
         return [windows[k] for k in np.unique(np.round(spread).astype(int))]
 

@@ -19,7 +19,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.held_out import is_clearly_lower
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.servo_setting import ServoSetting
-from robot_sysid.servo.loop import commands, longest_period, low_pass_motion
+from robot_sysid.servo.loop import commands, longest_period, low_pass_motion, stretches
 from robot_sysid.servo.setting import loaded, with_setting
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
@@ -47,9 +47,9 @@ HIDDEN = 5e-4
 class ServoProblem:
     """Windows of logs and the position errors of rollouts in them.
 
-    Pieces of logs are cut into consecutive windows, all as long as ``WINDOW`` or as the shortest
-    piece. The beginning of each piece is left out: commands before a window act in it. Of more than
-    ``MAX_WINDOWS`` every second one is taken, or every third.
+    Stretches of logs are cut into consecutive windows, all as long as ``WINDOW`` or as the shortest
+    stretch. The beginning of each piece is left out: commands before a window act in it. Of more
+    than ``MAX_WINDOWS`` every second one is taken, or every third.
 
     Args:
         robot: the arm as in the model file.
@@ -64,7 +64,7 @@ class ServoProblem:
         times: (W, m) of the samples since the start of their window [s].
         measured: (W, m, n) positions measured then [rad or m].
 
-    Raises InputError where no piece is long enough for one window after its beginning.
+    Raises InputError where a stretch is too short for one window after its beginning.
     """
 
     def __init__(
@@ -77,24 +77,35 @@ class ServoProblem:
         self.robot = robot
         self._first = first
         unplayed = max(BEGINNING, delay + FOLLOWING)
-        shortest = min(piece.time[-1] - piece.time[0] for piece in pieces)
-        self.length = min(WINDOW, float(shortest) - unplayed)
+        played = []
+        for piece in pieces:
+            beginning = round(unplayed / sampling_period(piece.time))
+            for rows in stretches(piece):
+                first_row = min(max(rows.start, beginning), rows.stop - 1)
+                played.append((piece, slice(first_row, rows.stop)))
+        lengths = [np.ptp(piece.time[rows]) for piece, rows in played]
+        self.length = min(WINDOW, float(min(lengths)))
         if self.length < LEAST_WINDOW:
             raise InputError(
-                "a log, or its last fifth, by which the result is judged, has only "
-                f"{max(self.length, 0.0):.2g} s after its beginning, and needs "
-                f"{LEAST_WINDOW:g} s; record longer"
+                "a log, or what is held out of it to judge the result, has only "
+                f"{self.length:.2g} s after its beginning, and needs {LEAST_WINDOW:g} s; record "
+                "longer"
             )
-        count = int(self.length / longest_period(pieces))
+        # Samples may come faster than on average.
+        fewest = min(rows.stop - rows.start for _, rows in played) - 1
+        count = min(int(self.length / longest_period(pieces)), fewest)
+        speeds = {id(piece): low_pass_motion(piece)[1] for piece, _ in played}
         cut = []
-        for piece in pieces:
-            _, qd, _ = low_pass_motion(piece)
-            beginning = round(unplayed / sampling_period(piece.time))
-            for begin in range(beginning, len(piece) - count, count):
+        for piece, rows in played:
+            for begin in range(rows.start, rows.stop - count, count):
                 at = slice(begin, begin + count)
                 start = piece.time[begin]
                 window = ServoWindow(
-                    start, piece.q[begin], qd[begin], piece.time, commands(piece)
+                    start,
+                    piece.q[begin],
+                    speeds[id(piece)][begin],
+                    piece.time,
+                    commands(piece),
                 )
                 cut.append((window, piece.time[at] - start, piece.q[at], piece.setting))
         cut = cut[:: math.ceil(len(cut) / MAX_WINDOWS)]
