@@ -255,7 +255,8 @@ class ArmFit:
         solved = problem.search(begin, report=self._report(label))
         # A limit that no motion reaches may be any larger one.
         k = column("torque_limit")
-        is_beyond = problem.rise(solved.at, "torque_limit") < SHOWN
+        larger = solved.at.x[:, k] + 1.0
+        is_beyond = problem.rise(solved.at, "torque_limit", larger) < SHOWN
         solved.covariance[is_beyond, k] = 0.0
         solved.covariance[is_beyond, :, k] = 0.0
         solved.covariance[is_beyond, k, k] = 1.0
@@ -482,10 +483,15 @@ def _in_file(
     numbers[1:, arm.moving] = gain * found[:, columns].T
     k = column("torque_limit")
     shows = DEVIATIONS[k] * np.sqrt(held.covariance[:, k, k]) < LARGEST_ERROR
+    of_model = limits[arm.moving]
     reached = gain * found[:, k]
-    limits[arm.moving] = np.where(
-        shows, reached, np.maximum(limits[arm.moving], reached)
-    )
+    # An infinite one is what no motion reaches.
+    over_gain = np.where(np.isinf(of_model), reached, of_model) / gain
+    to = np.log(over_gain / UNKNOWNS["torque_limit"].mean) / DEVIATIONS[k]
+    rise = arm.problem(LONG, IN_FILE, False).rise(held.at, "torque_limit", to)
+    # What no motion reaches stays the model's, unless the motion needs more.
+    is_kept = ~shows & (rise < SHOWN)
+    limits[arm.moving] = np.where(is_kept, of_model, reached)
     servo_damping = in_model.servo_damping.copy()
     # A spring stands for the servo that a model does not have.
     has_servo = np.isfinite(in_model.numbers[0])[arm.moving]

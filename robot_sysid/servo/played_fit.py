@@ -208,19 +208,18 @@ class PlayedFit:
         cost = independent * np.log(sizes) + 0.5 * known
         return Solved(at, sizes, cost, self._whole(covariance))
 
-    def rise(self, at: Searched, name: str) -> Array:
-        """Return by how much squares (P,) of position errors rise with one unknown a deviation up.
+    def rise(self, at: Searched, name: str, to: Array) -> Array:
+        """Return by how much squares (P,) of position errors rise with one unknown elsewhere (P,).
 
         Of what is not reached, such as a limit, they do not, whatever their curvature where a
         search ended.
         """
-        start = at.start[None]
-        missed = self.missed(at.x[None], at.links[None], start)[0]
-        up = at.x + (np.arange(at.x.shape[1]) == column(name))
-        missed_up = self.missed(up[None], at.links[None], start)[0]
-        squares = (np.sum(each**2, axis=1) for each in (missed, missed_up))
-        here, there = (self._by_problem(each) for each in squares)
-        return np.asarray(self._weight(missed) * (there - here))
+        x = np.stack((at.x, at.x))
+        x[1, :, column(name)] = to
+        links, start = np.stack((at.links, at.links)), np.stack((at.start, at.start))
+        here, there = self.missed(x, links, start)
+        rises = self._by_problem(np.sum(there**2 - here**2, axis=1))
+        return np.asarray(self._weight(here) * rises)
 
     def _mixed(
         self, old: Searched, new: Searched, is_new: NDArray[np.bool_]

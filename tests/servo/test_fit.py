@@ -79,8 +79,9 @@ def fit(robot, *pieces):
 def in_errors(found, true, joint=0):
     """What the numbers that the file holds are off by, in stated errors."""
     numbers = [true.numbers[0, joint], true.limits[joint], *true.numbers[1:, joint]]
+    names = [name for name in IN_FILE if name != "limited_damping"]
     errors = []
-    for name, number in zip(IN_FILE, numbers):
+    for name, number in zip(names, numbers):
         unknown = UNKNOWNS[name]
         over = found.likely_gain[joint] if name == "gain" else true.numbers[0, joint]
         k = column(name)
@@ -158,8 +159,23 @@ def test_numbers_come_from_the_log_and_not_from_the_models_servos(kp):
     assert np.all(np.abs(off_in_file(found, truth())) < [[0.1], [0.15], [0.3], [0.2]])
     assert found.in_file.limits[0] == pytest.approx(LIMIT, rel=0.05)
     assert abs(found.delay - DELAY) < 3.0 * found.delay_error < 0.01
-    assert not np.any(found.in_file.servo_damping)
+    share = found.in_file.servo_damping / found.in_file.numbers[1]
+    assert np.all(share < 0.15)
     assert found.in_file.delay == found.delay
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("limit", "is_kept"), [(6.0, True), (0.7, False)])
+def test_a_limit_of_the_model_that_no_motion_reaches_stays(limit, is_kept):
+    """One that the motion exceeds does not."""
+    model = ONE.format(kp=17.8, **LIGHT)
+    robot = robot_of(
+        model.replace('kp="17.8"', f'kp="17.8" forcerange="-{limit} {limit}"')
+    )
+    gentle = log(robot, truth(limit=np.inf), scale=0.7)
+    found = fit(robot, gentle)
+    assert (found.in_file.limits[0] == limit) == is_kept
+    assert found.in_file.limits[0] >= limit
 
 
 @pytest.mark.slow
@@ -175,7 +191,8 @@ def test_joints_that_stand_keep_the_models_numbers():
     assert found.in_file.firmness[1] == in_model.firmness[1]
     # Nothing is known of it but what is usual.
     assert not np.any(found.x[1])
-    assert_allclose(found.covariance[1], np.eye(len(NAMES)) + np.diag(LEAST_ERRORS**2))
+    own = found.covariance[1][: len(NAMES), : len(NAMES)]
+    assert_allclose(own, np.eye(len(NAMES)) + np.diag(LEAST_ERRORS**2))
     assert np.all(np.abs(in_errors(found, truth(2))) < 3.0)
 
 
@@ -279,7 +296,7 @@ def test_a_fit_that_begins_at_an_earlier_one_ends_where_that_one_does():
     part = fit(robot, piece[:240])
     whole = fit_servos(robot, [piece], Progress(), part)
     assert np.all(np.abs(in_errors(whole, truth())) < 3.0)
-    errors = np.sqrt(np.diagonal(part.covariance, axis1=1, axis2=2))
+    errors = np.sqrt(np.diagonal(part.covariance, axis1=1, axis2=2))[:, : len(NAMES)]
     assert np.all(np.abs(whole.x - part.x) < 3.0 * errors + 1e-9)
 
 

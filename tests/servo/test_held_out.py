@@ -73,10 +73,7 @@ def test_no_window_has_a_sample_of_the_other_side():
     assert np.sum(tracks.is_sample[tracks.joint == 0]) == expected + shared
     problem = ServoProblem(robot, [held_out], UNKNOWN)
     judged = np.concatenate(
-        [
-            window.start + times
-            for window, times in zip(problem.windows, problem.times)
-        ]
+        [window.start + times for window, times in zip(problem.windows, problem.times)]
     )
     assert np.all(np.isin(np.round(judged * RATE), np.flatnonzero(fitted.is_left_out)))
     # Commands before a block act in it.
