@@ -54,6 +54,20 @@ def positions(robot, time, command, servos=TRUTH, steps=10):
     return np.round(exact_positions(robot, time, command, servos, steps), 3)
 
 
+def motor_torques(robot, time, command, servos=TRUTH, steps=10):
+    """Return the torques (N, n) of the motors of that arm, before all friction [N m].
+
+    Of the damping that stands beside the limit, none is in them.
+    """
+    times = np.linspace(time[0], time[-1], steps * (len(time) - 1) + 1)
+    at = np.searchsorted(time, times - servos.delay + 1e-9, side="right") - 1
+    fine = command[np.maximum(at, 0)]
+    window = ServoWindow(float(time[0]), command[0], 0.0 * command[0], time, command)
+    q = ServoRollouts(robot).positions(servos, [window], times - time[0])[0]
+    torque = servos.numbers[0] * (fine - q)
+    return np.clip(torque, -servos.limits, servos.limits)[::steps]
+
+
 def write(path, time, q, command, names=("joint0", "joint1")):
     """Write a log with commands of joints with some names."""
     titles = ["time", *(f"{n}.pos" for n in names), *(f"action_{n}" for n in names)]

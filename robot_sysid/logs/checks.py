@@ -92,6 +92,8 @@ LEAST_TRAVEL = 0.01
 LEAST_MOTION = 0.1
 """Travel of the joint that moves most, in degrees that were taken for radians, from which on they
 may be degrees [rad]: logs of arms have ten times as much."""
+_NOT_NEEDED = {"velocity": "velocities", "motor_torque": "motor torques"}
+"""Columns that may be left out, in the order of ``ColumnMap.groups``, and what notes call them."""
 # What positions of a hinge may be that are too large for degrees.
 _COUNTS = (
     ", hundredths of them ({units=cdeg}) or counts of an encoder ({units=4096/rev} for 4096 a "
@@ -116,15 +118,16 @@ def read_recording(
     cells, complaint = read_cells(table, columns, progress)
     restart_notes = separate_recordings(table, columns, cells)
     with prefix_input_errors(str(table.path)):
-        columns, cells, velocity_notes = _complete_velocities(columns, cells)
+        columns, cells, further_notes = _complete_columns(columns, cells)
         lines, cells, notes = usable_rows(table, columns, cells, complaint)
-        notes += [*restart_notes, *velocity_notes]
+        notes += [*restart_notes, *further_notes]
         # With fewer, the other checks mean nothing.
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")
             raise InputError(f"the log has only {count}; record longer")
         widths = [2, *map(len, columns.groups())]
-        _, q, tau, qd, stamps = np.split(cells, np.cumsum(widths)[:-1], axis=1)
+        groups = np.split(cells, np.cumsum(widths)[:-1], axis=1)
+        _, q, tau, qd, motor_torque, stamps = groups
         for joint in np.flatnonzero(~robot.is_slide):
             # Full turns by which the position jumps against the row before.
             step = np.diff(q[:, joint])
@@ -140,6 +143,7 @@ def read_recording(
             tau=tau - q if columns.commanded else tau,
             joint_time=stamps if columns.joint_time else None,
             command=tau if columns.commanded else None,
+            motor_torque=motor_torque if columns.motor_torque else None,
             name=str(table.path),
             joint_names=robot.joint_names,
             columns=columns,
@@ -156,22 +160,31 @@ def read_recording(
     return replace(recording, notes=tuple(notes))
 
 
-def _complete_velocities(
+def _complete_columns(
     columns: ColumnMap, cells: Array
 ) -> tuple[ColumnMap, Array, list[str]]:
-    """Return columns and cells without velocities where many are missing, and a note on these.
+    """Return columns and cells without quantities that are not needed and often missing, and notes
+    on these.
 
     ``cells``: of all rows, as ``read_cells`` returns them.
     """
-    start = 2 + 2 * len(columns.position)
-    velocity = slice(start, start + len(columns.velocity))
-    is_used = ~np.isnan(cells[:, 2:start]).any(axis=1)
-    count = np.count_nonzero(np.isnan(cells[is_used, velocity]).any(axis=1))
-    # In a few rows they are missing beside what is needed.
-    if count <= MOST_INCOMPLETE * np.count_nonzero(is_used):
-        return columns, cells, []
-    note = f"recorded velocities are not used, and not needed: {count} rows lack them"
-    return replace(columns, velocity=()), np.delete(cells, velocity, axis=1), [note]
+    needed = 2 + 2 * len(columns.position)
+    is_used = ~np.isnan(cells[:, 2:needed]).any(axis=1)
+    notes = []
+    for name, quantity in _NOT_NEEDED.items():
+        # Behind those that come before it, of which some may have been left out.
+        start = needed + (len(columns.velocity) if name == "motor_torque" else 0)
+        own = slice(start, start + len(getattr(columns, name)))
+        count = np.count_nonzero(np.isnan(cells[is_used, own]).any(axis=1))
+        # In a few rows they are missing beside what is needed.
+        if count > MOST_INCOMPLETE * np.count_nonzero(is_used):
+            notes.append(
+                f"recorded {quantity} are not used, and not needed: {count} rows lack them"
+            )
+            left_out: dict[str, Any] = {name: ()}
+            columns = replace(columns, **left_out)
+            cells = np.delete(cells, own, axis=1)
+    return columns, cells, notes
 
 
 def usable_rows(

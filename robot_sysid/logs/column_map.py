@@ -35,6 +35,8 @@ from robot_sysid.wording import option_name
 
 _Source = tuple[int, float]
 """A column (index) and the factor that was declared for it."""
+_NO_COLUMN = Column(0, "none", 0.0)
+"""What stands for the torque of a joint that has none."""
 # What people write in the place of "*": "motor_state[i].q", "avp[1..4]", "JOINT/position".
 _JOINT_FORM = re.compile(
     r"(?<=\[)([ijkn]|\d+ *(\.\.|-|:) *\d+)(?=\])|\{(joint|name|i)\}|(?<![a-zA-Z])JOINT(?![a-zA-Z])",
@@ -139,8 +141,12 @@ class ColumnFinder:
 
     @property
     def _quantities(self) -> Sequence[str]:
-        """Those with a column per joint that are looked for."""
-        return "position", "velocity", "joint_time", self.driven
+        """Those with a column per joint that are looked for.
+
+        Beside the commands of servos, a torque is one more measurement.
+        """
+        beside = ("torque",) if self.choices.commanded else ()
+        return "position", "velocity", "joint_time", self.driven, *beside
 
     @cached_property
     def _joint_matches(self) -> tuple[Candidates, str]:
@@ -166,8 +172,10 @@ class ColumnFinder:
         try:
             if quantity == "time":
                 return tuple(filter(None, [self.find_time()]))
-            # Torques of a log that is read for its commands are not looked for.
-            return self._find_joints(quantity) if quantity in self._quantities else ()
+            # Torques of a log that is read for its commands say nothing of its other columns.
+            is_driven = quantity != "torque" or self.driven == "torque"
+            is_sought = quantity in self._quantities and is_driven
+            return self._find_joints(quantity) if is_sought else ()
         except InputError:
             return ()
 
@@ -205,13 +213,13 @@ class ColumnFinder:
         torque = found[self.driven]
         if not position or not torque:
             raise InputError(f"position and {self.driven} cannot be left out")
-        # A joint without torque has a column of numbers times zero.
-        torque = tuple(
-            column if column.factor else replace(column, index=position[0].index)
-            for column in torque
-        )
+        torque = _with_numbers(torque, position[0].index)
+        motor_torque: tuple[Column, ...] = ()
+        if self.choices.commanded:
+            motor_torque = _with_numbers(found["torque"], position[0].index)
         has_unit = all(self.titles[column.index].unit for column in position)
-        kinds = {self.titles[column.index].torque_kind for column in torque}
+        measured = (*torque, *motor_torque)
+        kinds = {self.titles[column.index].torque_kind for column in measured}
         for kind in sorted({"commanded", "computed"} & kinds):
             notes.append(f"torques are {kind}, not measured, as they were declared")
         used = {column.index for column in (*position, *torque)}
@@ -229,6 +237,7 @@ class ColumnFinder:
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             length_declared=bool(self.choices.length_unit) or has_unit,
             commanded=self.choices.commanded,
+            motor_torque=motor_torque,
             notes=tuple(filter(None, notes)),
         )
 
@@ -272,6 +281,9 @@ class ColumnFinder:
         columns = tuple(column for column in found if column is not None)
         if len(columns) == n_joints:
             return self._with_standing(columns) if quantity == "position" else columns
+        if declared and quantity == "torque" and self.choices.commanded:
+            # Of servos, the torque of some joints may be recorded.
+            return tuple(column or _NO_COLUMN for column in found)
         if declared or quantity in ("position", self.driven):
             raise self._missing_error(quantity)
         return ()
@@ -287,7 +299,7 @@ class ColumnFinder:
         if source:
             return self._column(quantity, joint, *source)
         if name in declared:
-            return Column(0, "none", 0.0)
+            return _NO_COLUMN
         if len(indices) > 1:
             raise ambiguity_error(quantity, name, self.titles, indices)
         return self._column(quantity, joint, indices[0]) if indices else None
@@ -486,3 +498,12 @@ class ColumnFinder:
             )
         zero = self._zeros[joint] if quantity in ("position", "command") else 0.0
         return Column(index, title.text, factor * (to_si or 1.0), factor, float(zero))
+
+
+def _with_numbers(columns: Sequence[Column], index: int) -> tuple[Column, ...]:
+    """Return columns (n,) in which a joint without a torque has a column (index) of numbers, times
+    zero.
+    """
+    return tuple(
+        column if column.factor else replace(column, index=index) for column in columns
+    )

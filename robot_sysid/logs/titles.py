@@ -199,6 +199,8 @@ _UNIT_WORDS = by_token(
         "ma": "毫安",
         "a": "安 安培",
         "nm": "牛米 牛·米 牛顿米",
+        "percent": "%",
+        "permille": "‰",
     }
 )
 _UNIT_WORD = _any_word(_UNIT_WORDS)

@@ -117,6 +117,7 @@ class ColumnMap:
         position: of each joint.
         torque: of each joint; of a log of servos, its commanded position.
         velocity: () where velocities are differentiated from positions.
+        motor_torque: of a log of servos, measured torque of each joint; () where it has none.
         joint_time: time stamps of each joint; () where the log has none.
         titles: of all columns of the log, used or not.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
@@ -137,10 +138,19 @@ class ColumnMap:
     commanded: bool
     notes: tuple[str, ...]
     length_declared: bool = False
+    motor_torque: tuple[Column, ...] = ()
 
     def groups(self) -> tuple[tuple[Column, ...], ...]:
-        """Return the columns of position, torque, velocity and joint time; () for a missing one."""
-        return self.position, self.torque, self.velocity, self.joint_time
+        """Return the columns of position, torque, velocity, motor torque and joint time; () for one
+        that the log does not have.
+        """
+        return (
+            self.position,
+            self.torque,
+            self.velocity,
+            self.motor_torque,
+            self.joint_time,
+        )
 
     def columns(self) -> list[Column]:
         """Return all columns: time, where there is one, then ``groups`` one after the other."""
@@ -158,6 +168,8 @@ class ColumnMap:
             f"log columns: time from {time}; position from {_quote(self.position)}; "
             f"velocity {velocity}; {quantity} from {_quote(self.torque)}"
         )
+        if self.motor_torque:
+            used += f"; motor torque from {_quote(self.motor_torque)}"
         if self.joint_time:
             used += f"; own time from {_quote(self.joint_time)}"
         indices = {column.index for column in self.columns()}
@@ -197,6 +209,8 @@ class Recording:
         qd, qdd: (N, n) velocities, accelerations [rad/s, rad/s^2]; None where the log has none.
         joint_time: (N, n) when each joint was sampled [s]; None where ``time`` holds for all.
         command: (N, n) commanded positions [rad], of a log of servos; else None.
+        motor_torque: (N, n) torques [N m] that were measured beside the commands, as from motor
+            currents, zero of joints without; None where the log has none.
         hole: (N,) length of the hole in the log that a sample bridges [s]: zero where it bridges
             none, infinite where something is wrong with it and no estimate uses it; None for zeros.
         name: path of the log as the user gave it, which messages have; "" of a simulation.
@@ -217,6 +231,7 @@ class Recording:
     qdd: Array | None = None
     joint_time: Array | None = None
     command: Array | None = None
+    motor_torque: Array | None = None
     hole: Array | None = None
     name: str = ""
     joint_names: tuple[str, ...] = ()
@@ -228,7 +243,9 @@ class Recording:
     setting: ServoSetting = UNKNOWN
 
     def __post_init__(self) -> None:
-        _check_samples(self, "qd", "tau", "qdd", "joint_time", "command")
+        _check_samples(
+            self, "qd", "tau", "qdd", "joint_time", "command", "motor_torque"
+        )
 
     def __len__(self) -> int:
         return len(self.time)
@@ -273,7 +290,17 @@ class Recording:
 
 
 # Fields of a recording with an element or row per sample.
-_SAMPLED = ("time", "q", "qd", "tau", "qdd", "joint_time", "command", "hole")
+_SAMPLED = (
+    "time",
+    "q",
+    "qd",
+    "tau",
+    "qdd",
+    "joint_time",
+    "command",
+    "motor_torque",
+    "hole",
+)
 
 
 def join_recordings(chunks: Iterable[Recording]) -> Recording:

@@ -4,7 +4,8 @@ The numbers are those with which the arm, played joint by joint in windows of it
 (``played_fit``), comes nearest to the measured positions. All that a servo does is in them
 (``unknowns``), and so are errors of the links, which alone fix the scale. What is found of the
 delay in one joint holds for all, because they share a bus; and gains of joints that carry no weight
-are taken to be over the model's what the others' are, because servos of one arm are alike.
+are taken to be over the model's what the others' are, because servos of one arm are alike. A
+torque that a log has beside its commands is one more measurement of a gain (``motor_torque``).
 
 A model file holds less. Its numbers are those of the same windows with the rest left out and the
 links as the file has them: friction at the load and speed of the logs, no zeros, no dead zones.
@@ -25,6 +26,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.servo.loop import LEAST_MOTION, longest_period
+from robot_sysid.servo.motor_torque import TorqueGains, gains_by_torque
 from robot_sysid.servo.play import Courses, Tracks
 from robot_sysid.servo.played_fit import PASSES, PlayedFit, Searched, Solved
 from robot_sysid.servo.unknowns import (
@@ -98,6 +100,7 @@ class ServoFit:
             joints say.
         delay: time by which all commands act late [s].
         delay_error: its standard error [s].
+        by_torque: gains by recorded torques; None where no log has any.
     """
 
     x: Array
@@ -115,6 +118,7 @@ class ServoFit:
     deviation: Array
     delay: float
     delay_error: float
+    by_torque: TorqueGains | None = None
 
     @property
     def over_gain(self) -> Array:
@@ -369,14 +373,19 @@ def fit_servos(
             if name == "command_delay":
                 delay, delay_error = time, error
         _liken_gains(robot, arm, first)
+        by_torque = _gains_by_torque(robot, arm, pieces, first)
         x = first.at.x
     else:
         arm.mean = before.mean
         arm.deviation = before.deviation
         delay, delay_error = before.delay, before.delay_error
+        by_torque = before.by_torque
         x = before.x[arm.moving]
     second = arm.refine("Servos, in long windows", NAMES, arm.with_delay(x), True)
     mean, deviation = arm.mean.copy(), arm.deviation.copy()
+    if by_torque is not None:
+        second = by_torque.weigh_into(second)
+        arm.know("gain", *by_torque.beside(mean, deviation))
     arm.know_time("command_delay", delay, 0.0)
     base = second.at.x.copy()
     for name in set(NAMES) - {*IN_FILE, "command_delay"}:
@@ -418,6 +427,7 @@ def fit_servos(
         deviation=deviation,
         delay=delay,
         delay_error=delay_error,
+        by_torque=by_torque,
     )
 
 
@@ -467,6 +477,26 @@ def _liken_gains(robot: RobotModel, arm: ArmFit, first: Solved) -> None:
     has_gain = np.isfinite(servos_in_model(robot).numbers[0])[arm.moving]
     width = np.where(has_gain, spread / DEVIATIONS[k], 1.0)
     arm.know("gain", common / DEVIATIONS[k], width)
+
+
+def _gains_by_torque(
+    robot: RobotModel, arm: ArmFit, pieces: Sequence[Recording], first: Solved
+) -> TorqueGains | None:
+    """Return the gains that recorded torques show, or None where no piece has any.
+
+    They depend on delay and lag, which are those of all joints.
+    """
+    x = first.at.x.copy()
+    error = np.sqrt(np.diagonal(first.covariance, axis1=1, axis2=2))[:, : len(NAMES)]
+    for name in COMMON:
+        x[:, column(name)] = arm.mean[:, column(name)]
+        error[:, column(name)] = arm.deviation[:, column(name)]
+    # So are gains of joints that carry nothing.
+    k = column("gain")
+    is_likened = arm.deviation[:, k] < error[:, k]
+    x[:, k] = np.where(is_likened, arm.mean[:, k], x[:, k])
+    error[:, k] = np.where(is_likened, arm.deviation[:, k], error[:, k])
+    return gains_by_torque(robot, pieces, arm.moving, arm.likely_gain, x, error)
 
 
 def _in_file(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
 from robot_sysid.mjcf.updated_model import ElementChange
 from robot_sysid.records import Array, DataOrigin, RobotModel
@@ -34,6 +35,12 @@ WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and "
     "absolute sizes from the masses of the model, which fix their scale (the errors include links "
     f"that are off by {100.0 * LINK_ERROR:.0f} %)"
+)
+WITH_TORQUE = (
+    "Absolute sizes follow from the masses of the model and from recorded torques, all else from "
+    "commanded and measured positions (the errors include links that are off by "
+    f"{100.0 * LINK_ERROR:.0f} % and torques that are off by "
+    f"{100.0 * usual_errors.TORQUE_FROM_CURRENT:.0f} %)"
 )
 IN_FILE = {
     "gain": "N·m/rad",
@@ -158,6 +165,13 @@ class ServoIdentification:
         return rms(self.after) < min(rms(self.before), self.goal)
 
     @property
+    def scale_text(self) -> str:
+        """What absolute sizes follow from, in words."""
+        by_torque = self.fit.by_torque
+        is_used = by_torque is not None and bool(np.any(by_torque.is_used))
+        return WITH_TORQUE if is_used else WITHOUT_TORQUE
+
+    @property
     def traces(self) -> None:
         """Torques over time, which nothing measured."""
 
@@ -200,7 +214,7 @@ class ServoIdentification:
         """Return the content of servo.json, which ``json_text`` turns into text."""
         return {
             "schema": SERVO_SCHEMA,
-            "torque": WITHOUT_TORQUE,
+            "torque": self.scale_text,
             "setting": str(self.setting),
             "quantities": [*self.quantities],
             "joint_names": self.robot.joint_names,
@@ -254,7 +268,7 @@ def servo_lines(result: ServoIdentification) -> Iterator[str]:
         value = number_text(row.value, error) if row.value else "0.0000"
         yield f"  arm {name.replace('_', ' ')}  {value}  {number_text(error, error)}  s"
     yield from _matrix(result, rows, RATIOS)
-    yield f"  {WITHOUT_TORQUE}:"
+    yield f"  {result.scale_text}:"
     yield from _matrix(result, rows, SIZES)
     yield from advice_lines(result.advice)
     yield (
@@ -295,6 +309,8 @@ def _cell(value: float, error: float) -> str:
 
 def servo_notes(result: ServoIdentification) -> Iterator[str]:
     """Yield sentences on the weak points of a result."""
+    if result.fit.by_torque is not None:
+        yield from result.fit.by_torque.notes
     names = np.array(result.robot.joint_names)
     still = names[~result.fit.is_known]
     if len(still):

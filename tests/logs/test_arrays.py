@@ -253,6 +253,8 @@ def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(h5py, tmp_p
     log = read_measurements(path, names)
     assert_samples(DATA, log, ("q", "tau"))
     assert_allclose(log.time, np.arange(len(DATA)) / 50.0, atol=1e-12)
-    assert_array_equal(read_measurements(path, names, commanded=True).command, goals)
+    of_servos = read_measurements(path, names, commanded=True)
+    assert_array_equal(of_servos.command, goals)
+    assert_array_equal(of_servos.motor_torque, DATA.tau)
     left = [name.replace("right", "left") for name in names]
     assert_refused("torque of joint left/waist is zero|at rest", path, left)

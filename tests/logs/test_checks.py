@@ -342,6 +342,46 @@ def test_velocities_that_are_missing_are_left_out_and_no_row(tmp_path):
         assert is_used or log.columns.velocity == ()
 
 
+SERVO_TITLES = (*TITLES[:4], "action_1", "action_2", "action_3", *TITLES[4:])
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3])
+def test_torques_beside_commands_are_read_and_cost_no_row(tmp_path, share):
+    """Where many are missing, none is used; positions and commands are read all the same."""
+    data = motion()
+    rows = np.column_stack((data.time, data.q, data.q + 0.01, data.tau))
+    count = round(share * len(rows))
+    rows[:count, 8] = np.nan
+    path = write(tmp_path / "log.csv", rows, SERVO_TITLES)
+    log = read_measurements(path, JOINTS, commanded=True)
+    is_used = share < 0.1
+    kept = rows[count if is_used else 0 :]
+    np.testing.assert_array_equal(log.command, kept[:, 4:7])
+    note = (
+        f"recorded motor torques are not used, and not needed: {count} rows lack them"
+    )
+    assert (note in notes_of(log)) == (not is_used)
+    if is_used:
+        np.testing.assert_array_equal(log.motor_torque, kept[:, 7:])
+        np.testing.assert_array_equal(log[5:9].motor_torque, kept[5:9, 7:])
+    else:
+        assert log.motor_torque is None
+
+
+def test_a_log_of_servos_is_read_alike_with_torques_and_without(tmp_path):
+    data = motion()
+    rows = np.column_stack((data.time, data.q, data.q + 0.01, data.tau))
+    logs = []
+    for name, width in (("with", 10), ("without", 7)):
+        path = write(tmp_path / name, rows[:, :width], SERVO_TITLES[:width])
+        logs.append(read_measurements(path, JOINTS, commanded=True))
+    own, other = (log.arrays() for log in logs)
+    np.testing.assert_array_equal(own.pop("motor_torque"), data.tau)
+    assert own.keys() == other.keys()
+    for name, values in other.items():
+        np.testing.assert_array_equal(own[name], values)
+
+
 def test_a_slide_in_millimetres_is_told_by_its_range(tmp_path):
     data = motion()
     rows = table(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from operator import attrgetter
 
@@ -123,3 +124,66 @@ def test_a_log_of_a_part_of_the_arm_names_the_options_that_hold_the_rest(
     with refused(f"if the arm is {part[0]} to {part[-1]}, ") as caught:
         recognise(["time", *titles], joints)
     assert caught.value.options == (option,)
+
+
+# --- torques beside the commands of servos --------------------------------------------------------
+
+SERVO_TITLES = ["time", "j1_pos", "j2_pos", "action_1", "action_2"]
+
+
+def recognise_servos(*further, **entries) -> ColumnMap:
+    """The map of a log of two servos with further columns, some of them declared."""
+    table = titles_alone([*SERVO_TITLES, *further])
+    choices = ColumnChoices(commanded=True, entries=entries)
+    return ColumnFinder(table, arm_of(("j1", "j2")), choices).find_all()
+
+
+def test_a_measured_torque_of_each_joint_is_one_more_measurement():
+    columns = recognise_servos("j1_effort [Nm]", "j2_effort [mNm]")
+    assert [column.index for column in columns.torque] == [3, 4]
+    assert [column.index for column in columns.motor_torque] == [5, 6]
+    assert [column.factor for column in columns.motor_torque] == [1.0, 1e-3]
+    used, others = columns.describe()
+    assert "motor torque from 'j1_effort [Nm]', 'j2_effort [mNm]' x 0.001" in used
+    assert others.endswith(": none")
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "j{}_load",
+        "j{}_pwm",
+        "j{}_current",
+        "j{}_current [mA]",
+        "j{}_effort_raw",
+        "j{}_effort_permille",
+        "j{}_effort [%]",
+        "j{}_effort [‰]",
+        "j{}_tau_cmd",
+        "j{}_tau_model",
+    ],
+)
+def test_no_other_column_is_taken_for_a_torque(form):
+    columns = recognise_servos(form.format(1), form.format(2))
+    assert columns.motor_torque == ()
+    assert replace(columns, titles=(), notes=()) == replace(
+        recognise_servos(), titles=(), notes=()
+    )
+
+
+def test_a_torque_of_an_unknown_unit_is_named():
+    (note,) = recognise_servos("j1_effort [%]", "j2_effort [%]").notes
+    assert note.startswith("torque is not used, and not needed: unit 'percent'")
+
+
+def test_a_torque_of_one_joint_alone_has_to_be_declared():
+    assert recognise_servos("j1_effort").motor_torque == ()
+    columns = recognise_servos("amps", **{"torque.j2": "1.2 * amps"})
+    first, second = columns.motor_torque
+    assert (first.title, first.factor, first.index) == ("none", 0.0, 1)
+    assert (second.title, second.factor) == ("amps", 1.2)
+
+
+def test_torques_can_be_kept_out():
+    columns = recognise_servos("j1_effort", "j2_effort", torque="none")
+    assert columns.motor_torque == ()

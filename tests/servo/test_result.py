@@ -13,6 +13,7 @@ from rigs.files.schemas import schema
 from rigs.logs.servo_logs import SERVOS, XML
 from robot_sysid.records import file_access
 from robot_sysid.records.servo_setting import parse_servo_setting
+from robot_sysid.servo.motor_torque import TorqueFault, TorqueGains
 from robot_sysid.servo.result import (
     COLUMNS,
     RATIOS,
@@ -30,6 +31,21 @@ GEARED = XML.replace('biasprm="0 -100 -2"', 'biasprm="0 -100 -2" gear="-2"')
 def rows_of(result):
     """The rows of a result by source, name and owner."""
     return {(row.source, row.name, row.of): row for row in result.quantities}
+
+
+@pytest.mark.parametrize("is_used", [True, False])
+def test_what_sizes_rest_on_is_said(is_used):
+    error = np.where([is_used, False], 0.1, np.inf)
+    faults = (None if is_used else TorqueFault.APART, TorqueFault.ZERO)
+    by_torque = TorqueGains(ROBOT.joint_names, np.zeros(2), error, faults)
+    fit = replace(found_fit(ROBOT), by_torque=by_torque)
+    result = identification_of(ROBOT, fit)
+    text = json.loads(file_access.json_text(result.json_content()))["torque"]
+    assert ("recorded torques" in text) == is_used
+    assert ("No torque was measured" in text) != is_used
+    assert f"  {text}:" in [*servo_lines(result)]
+    notes = [*servo_notes(result)]
+    assert notes == [*by_torque.notes] and len(notes) == 2
 
 
 def test_each_number_has_a_row_of_each_joint():
