@@ -41,7 +41,7 @@ TABLE = PageTable(
 )
 FILE = MODELS / "so101/so101_new_calib.xml"
 TIP = "wrist_roll"
-ARMS = 24
+ARMS = 40
 SECONDS = 40.0
 RATES = (25.0, 50.0, 100.0, 200.0)
 ENCODER = 2.0 * np.pi / 4096

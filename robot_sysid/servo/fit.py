@@ -16,7 +16,7 @@ n is the number of joints, u that of unknowns.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -353,8 +353,8 @@ def fit_servos(
         robot: the arm as in the model file.
         pieces: of logs, which have commands.
         progress: receives what is fitted and the error so far.
-        before: of a part of these pieces: where the search begins, which joints are searched, and
-            what is known of delay and gains.
+        before: of a part of these pieces: where the search may begin, and which joints are
+            searched.
 
     Raises:
         InputError: no joint moves in the pieces.
@@ -364,38 +364,31 @@ def fit_servos(
     )
     arm = ArmFit(robot, pieces, moving, progress)
     n = robot.n_joints
-    if before is None:
-        start = arm.mean.copy()
-        first = arm.search("Servos, each joint by itself", NAMES, start)
-        for name, spread in COMMON.items():
-            time, error = common(name, first.at.x, first.covariance)
-            arm.know_time(name, time, float(np.hypot(error, spread)))
-            if name == "command_delay":
-                delay, delay_error = time, error
-        _liken_gains(robot, arm, first)
-        by_torque = _gains_by_torque(robot, arm, pieces, first)
-        x = first.at.x
-    else:
-        arm.mean = before.mean
-        arm.deviation = before.deviation
-        delay, delay_error = before.delay, before.delay_error
-        by_torque = before.by_torque
-        x = before.x[arm.moving]
+    start = arm.mean.copy() if before is None else before.x[moving]
+    first = arm.search("Servos, each joint by itself", NAMES, start)
+    for name, spread in COMMON.items():
+        time, error = common(name, first.at.x, first.covariance)
+        arm.know_time(name, time, float(np.hypot(error, spread)))
+        if name == "command_delay":
+            delay, delay_error = time, error
+    _liken_gains(robot, arm, first)
+    base = first.at.x.copy()
+    for name in set(NAMES) - set(IN_FILE):
+        base[:, column(name)] = ABSENT[column(name)]
+    if before is not None:
+        base = before.held_x
+    less = arm.search("What the file holds", IN_FILE, arm.with_delay(base))
+    # A form that holds more plays no worse: where it does, its search ended in a wrong place.
+    is_wrong = less.error < first.error
+    x = np.where(is_wrong[:, None], less.at.x, first.at.x)
+    first = replace(first, at=replace(first.at, x=x))
+    by_torque = _gains_by_torque(robot, arm, pieces, first)
     second = arm.refine("Servos, in long windows", NAMES, arm.with_delay(x), True)
     mean, deviation = arm.mean.copy(), arm.deviation.copy()
     if by_torque is not None:
         second = by_torque.weigh_into(second)
         arm.know("gain", *by_torque.beside(mean, deviation))
-    arm.know_time("command_delay", delay, 0.0)
-    base = second.at.x.copy()
-    for name in set(NAMES) - {*IN_FILE, "command_delay"}:
-        base[:, column(name)] = ABSENT[column(name)]
-    base = arm.with_delay(base)
-    if before is None:
-        base = arm.search("What the file holds", IN_FILE, base).at.x
-    else:
-        base = before.held_x
-    held = arm.refine("What the file holds, in long windows", IN_FILE, base, False)
+    held = arm.refine("What the file holds, in long windows", IN_FILE, less.at.x, False)
     likely = likely_gains(robot)
     n_unknowns = len(NAMES)
     n_all = second.covariance.shape[1]

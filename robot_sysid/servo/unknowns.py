@@ -63,9 +63,9 @@ UNKNOWNS = {
     "limited_damping": Unknown(
         0.0, usual_errors.SERVO_LIMITED_DAMPING, 0.1, 0.05, most=1.0
     ),
-    "frictionloss": Unknown(usual_errors.SERVO_STICKING, 1.5, 0.05, 0.04, True),
+    "frictionloss": Unknown(usual_errors.SERVO_STICKING, 1.5, 0.05, 0.06, True),
     "armature": Unknown(usual_errors.SERVO_BANDWIDTH**-2.0, 1.5, 0.05, 0.04, True),
-    "stribeck": Unknown(0.0, usual_errors.SERVO_STICKING, 0.1, 1e-4),
+    "stribeck": Unknown(0.0, usual_errors.SERVO_STICKING, 0.1, 3e-4),
     "load_share": Unknown(
         usual_errors.SERVO_LOAD_SHARE, usual_errors.SERVO_LOAD_SHARE_SPREAD, 0.1, 0.01
     ),
