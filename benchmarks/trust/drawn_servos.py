@@ -46,7 +46,9 @@ SECONDS = 40.0
 RATES = (25.0, 50.0, 100.0, 200.0)
 ENCODER = 2.0 * np.pi / 4096
 BANDWIDTH = (12.0, 32.0)
-"""Frequencies of servos without damping [rad/s]."""
+"""Frequency of an arm's servos without damping, at its median inertia [rad/s]."""
+GAIN_SPREAD = 0.4
+"""Standard deviation of the logarithm of gains within an arm, whose servos are of one kind."""
 DAMPING = (0.4, 1.2)
 """Damping over the critical one."""
 COULOMB = (0.03, 0.1)
@@ -96,8 +98,9 @@ def draw(robot: RobotModel, seed: int) -> Drawn:
         links.append(replace(link, theta=theta))
     rotor = rng.uniform(*ROTOR, n) * robot.armature
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature + rotor
-    bandwidth = rng.uniform(*BANDWIDTH, n)
-    gain = inertia * bandwidth**2
+    gain = np.median(inertia) * rng.uniform(*BANDWIDTH) ** 2
+    gain = gain * np.exp(GAIN_SPREAD * rng.standard_normal(n))
+    bandwidth = np.sqrt(gain / inertia)
     damping = 2.0 * rng.uniform(*DAMPING, n) * bandwidth * inertia
     coulomb = rng.uniform(*COULOMB, n)
     stribeck = rng.uniform(*STRIBECK, n) * coulomb

@@ -52,6 +52,9 @@ SMALL_GAIN = 0.02
 """Gain of a step at which a search ends, of the sum of squares."""
 RENEWED = 3
 """Steps of a search after which the weights of position errors are renewed."""
+REPEATED = 10.0
+"""Independent residuals that count as one where link errors are searched: what servos do otherwise
+comes again with the motion, and would be taken for errors of links."""
 LEAST_CORRELATION = 0.1
 """Correlation of residuals from which on they count as independent."""
 
@@ -118,6 +121,7 @@ class PlayedFit:
         self.deviation = deviation
         self.free = np.flatnonzero(is_free)
         self.n_links = len(tracks.errors) if with_links else 0
+        self.repeated = REPEATED if with_links else 1.0
         self.count = len(likely_gain)
         self.samples = self._by_problem(np.sum(tracks.is_sample, axis=1, dtype=float))
 
@@ -261,7 +265,7 @@ class PlayedFit:
             if not np.any(is_on):
                 break
             total += np.where(is_on, 2.0 * correlation, 0.0)
-        return total
+        return self.repeated * total
 
     def _squares(self, at: Searched, missed: Array, weight: Array) -> Array:
         """Return the sums of squares (P,) of errors, of what is known before, and of starts."""

@@ -58,7 +58,7 @@ class Unknown:
 
 UNKNOWNS = {
     "gain": Unknown(1.0, usual_errors.SERVO_GAIN, 0.03, 0.03, True),
-    "torque_limit": Unknown(usual_errors.SERVO_REACH, 1.0, 0.05, 0.02, True),
+    "torque_limit": Unknown(usual_errors.SERVO_REACH, 1.0, 0.05, 0.1, True),
     "damping": Unknown(usual_errors.SERVO_LAG, 1.0, 0.05, 0.02, True),
     "limited_damping": Unknown(
         0.0, usual_errors.SERVO_LIMITED_DAMPING, 0.1, 0.05, most=1.0
