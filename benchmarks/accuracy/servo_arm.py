@@ -56,7 +56,7 @@ class ServoArm:
     stribeck: np.ndarray | float = 0.0
     load_share: np.ndarray | float = 0.0
     load_stribeck: np.ndarray | float = 0.0
-    slip_speed: float = 0.3
+    slip_speed: float = 0.1
     lag: float = 0.0
 
     def play(self, time, command):

@@ -4,8 +4,8 @@
 
 Each arm is an SO-101 with links 10 to 20 % off its file (one of them 40 %), and servos, rotors,
 damping and Coulomb friction of its own. All have a limit of voltage beside which damping stands (of
-every third arm, a part of it), friction that grows with load, friction at rest that fades over 0.15
-to 0.6 rad/s, and a lag; half of the joints of every second arm have a dead zone of 0.2 to 1 degree.
+every third arm, a part of it), friction that grows with load, friction at rest that fades over 0.05
+to 0.3 rad/s, and a lag; half of the joints of every second arm have a dead zone of 0.2 to 1 degree.
  40 s of sines and steps are logged
 at 25 to 200 Hz by encoders of 4096 steps a turn; commands act up to 0.1 s late. The arm is stepped
 by ``ArmStepper``, which shares no code with what fits it.
@@ -56,7 +56,7 @@ STRIBECK = (0.0, 1.0)
 """Friction at rest beyond Coulomb's, over it."""
 LOAD_SHARE = (0.0, 0.25)
 LOAD_STRIBECK = (0.0, 0.2)
-SLIP_SPEED = (0.15, 0.6)
+SLIP_SPEED = (0.05, 0.3)
 ROTOR = (0.5, 1.5)
 """Rotor inertia over the file's."""
 REACH = (0.15, 0.6)
@@ -140,9 +140,9 @@ def truths(arm: servo_arm.ServoArm) -> dict[str, np.ndarray]:
     """Return the true numbers (n,) of a drawn arm by name."""
     gain = arm.stiffness
     return {
-        "sag": largest_weights(arm.robot)[0] / gain,
+        "sag": largest_weights(arm.robot, arm.robot.thetas)[0] / gain,
         "torque_over_weight": arm.limit
-        / np.maximum(largest_weights(arm.robot)[0], LEAST_WEIGHT),
+        / np.maximum(largest_weights(arm.robot, arm.robot.thetas)[0], LEAST_WEIGHT),
         "dead_band": (arm.coulomb + arm.stribeck) / gain + arm.dead_zone,
         "friction_over_gain": arm.coulomb / gain,
         "damping_over_gain": arm.damping / gain,
@@ -195,7 +195,7 @@ def offs(
     found = {**derived_numbers(robot, fit), **absolute_numbers(fit)}
     late = np.array([[fit.delay - arm.delay], [fit.delay_error], [arm.delay]])
     rows = {"delay": late}
-    carries = largest_weights(arm.robot)[0] > LEAST_WEIGHT
+    carries = largest_weights(arm.robot, arm.robot.thetas)[0] > LEAST_WEIGHT
     for name, true in truths(arm).items():
         of = carries if name in OF_WEIGHT else np.ones_like(carries)
         off = found[name].values - true

@@ -10,7 +10,7 @@ from robot_sysid.records import Array, DataOrigin, RobotModel
 from robot_sysid.records.servo_setting import UNKNOWN, ServoSetting
 from robot_sysid.servo.derived import largest_weights
 from robot_sysid.servo.fit import FIRM, ServoFit, likely_gains
-from robot_sysid.servo.play import DIRECTIONS, LINK_SHARE
+from robot_sysid.servo.play import DIRECTIONS, LINK_SHARE, KnownLinks
 from robot_sysid.servo.result import IN_FILE, ServoIdentification
 from robot_sysid.servo.unknowns import NAMES, UNKNOWNS, column
 from robot_sysid.simulation.playback import ServoParameters
@@ -38,8 +38,8 @@ def off_with_links(robot: RobotModel, fit: ServoFit, size: float = 0.2) -> Servo
     """Return a fit whose gains are off by a share as the weights are."""
     k = column("gain")
     first = len(NAMES)
-    weight, by_thetas = largest_weights(robot)
-    errors = np.einsum("nk,nk->n", by_thetas, fit.directions[:, :, 0])
+    weight, by_thetas = largest_weights(robot, robot.thetas)
+    errors = np.einsum("nk,nk->n", by_thetas, fit.links.directions[:, :, 0])
     covariance = fit.covariance.copy()
     of_gain = size / UNKNOWNS["gain"].deviation
     of_links = size * weight / np.maximum(errors, 1e-12)
@@ -78,7 +78,7 @@ def servo_fit(
     u = len(NAMES)
     own = np.tile(error**2 * np.eye(u), (n, 1, 1))
     # The first link error is that of the joint's largest weight.
-    _, by_thetas = largest_weights(robot)
+    _, by_thetas = largest_weights(robot, robot.thetas)
     factor = link_factor(robot, [*range(n)], LINK_SHARE)
     of_weight = by_thetas @ factor
     of_weight /= np.maximum(np.linalg.norm(of_weight, axis=1), 1e-12)[:, None]
@@ -94,9 +94,9 @@ def servo_fit(
     )
     return ServoFit(
         x=x,
-        links=np.zeros((n, DIRECTIONS)),
+        link_errors=np.zeros((n, DIRECTIONS)),
         covariance=with_links(own),
-        directions=directions,
+        links=KnownLinks(robot.thetas, factor, directions),
         x_given_links=x,
         given_links=own,
         likely_gain=likely,

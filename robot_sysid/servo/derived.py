@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimate.links import link_factor
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.play import LINK_SHARE
+from robot_sysid.servo.play import KnownLinks
 from robot_sysid.servo.unknowns import DEVIATIONS, NAMES, UNKNOWNS, numbers_at
 
 POSES = 400
@@ -64,14 +63,14 @@ def torque_at_rest(robot: RobotModel, q: Array, thetas: Array) -> Array:
     return LinkDynamics(robot).motion(q, at_rest, at_rest).torque(thetas)
 
 
-def largest_weights(robot: RobotModel) -> tuple[Array, Array]:
+def largest_weights(robot: RobotModel, thetas: Array) -> tuple[Array, Array]:
     """Return the largest torque (n,) that gravity asks of each joint at rest [N m], and its
-    derivative (n, 10 n) by the links' thetas.
+    derivative (n, 10 n) by the thetas (n, 10) of the links.
     """
     q = drawn_poses(robot)
     at_rest = np.zeros_like(q)
     motion = LinkDynamics(robot).motion(q, at_rest, at_rest)
-    torque = motion.torque(robot.thetas)
+    torque = motion.torque(thetas)
     joints = np.arange(robot.n_joints)
     pose = np.argmax(np.abs(torque), axis=0)
     signs = np.sign(torque[pose, joints])
@@ -79,16 +78,15 @@ def largest_weights(robot: RobotModel) -> tuple[Array, Array]:
     return np.abs(torque[pose, joints]), signs[:, None] * by_thetas
 
 
-def _added(robot: RobotModel, fit: ServoFit, by_thetas: Array) -> Array:
+def _added(links: KnownLinks, by_thetas: Array) -> Array:
     """Return what link errors add to weights (n, J + 1) with these derivatives (n, 10 n).
 
     The last of them is what the errors add that no direction has: they move nothing in the logs.
     """
-    links = [*range(robot.n_joints)]
-    all_errors = by_thetas @ link_factor(robot, links, LINK_SHARE)
-    added = np.einsum("nk,nkj->nj", by_thetas, fit.directions)
-    unseen = np.sum(all_errors**2, axis=1) - np.sum(added**2, axis=1)
-    return np.column_stack((added, np.sqrt(np.maximum(unseen, 0.0))))
+    added = np.einsum("nk,nkj->nj", by_thetas, links.directions)
+    of_all = np.sum((by_thetas @ links.factor) ** 2, axis=1)
+    unseen = np.maximum(of_all - np.sum(added**2, axis=1), 0.0)
+    return np.column_stack((added, np.sqrt(unseen)))
 
 
 def _formulas() -> Mapping[str, tuple[str, Callable[[dict[str, Array]], Array]]]:
@@ -131,8 +129,8 @@ def derived_numbers(
         times: gain of which the numbers are, over that of the fit: friction and the torque limit
             do not follow a gain that is set.
     """
-    weight, by_thetas = largest_weights(robot)
-    added = _added(robot, fit, by_thetas)
+    weight, by_thetas = largest_weights(robot, fit.links.thetas)
+    added = _added(fit.links, by_thetas)
     u = len(NAMES)
 
     def at(whole: Array) -> dict[str, Array]:
@@ -145,7 +143,7 @@ def derived_numbers(
         of_links = np.sum(added * whole[:, u:], axis=1)
         return {**by_name, "weight": np.abs(weight + of_links)}
 
-    whole = np.column_stack((fit.x, fit.links, np.zeros(len(fit.x))))
+    whole = np.column_stack((fit.x, fit.link_errors, np.zeros(len(fit.x))))
     covariance = np.tile(np.eye(whole.shape[1]), (len(whole), 1, 1))
     covariance[:, :-1, :-1] = fit.covariance
     found = {}

@@ -27,7 +27,7 @@ from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.servo.loop import LEAST_MOTION, longest_period
 from robot_sysid.servo.motor_torque import TorqueGains, gains_by_torque
-from robot_sysid.servo.play import Courses, Tracks
+from robot_sysid.servo.play import Courses, KnownLinks, Tracks
 from robot_sysid.servo.played_fit import PASSES, PlayedFit, Searched, Solved
 from robot_sysid.servo.unknowns import (
     ABSENT,
@@ -84,9 +84,9 @@ class ServoFit:
 
     Attributes:
         x: (n, u) of all that a servo does (``unknowns``), in deviations from their means.
-        links: (n, J) errors of the links that go with ``x``, in their directions.
+        link_errors: (n, J) that go with ``x``, in their directions.
         covariance: (n, u + J, u + J) of both together.
-        directions: (n, 10 n, J) what these errors are, see ``Courses``.
+        links: as known before, and those directions.
         x_given_links: (n, u) what is most likely if the links are those of the file.
         given_links: (n, u, u) covariance of that.
         likely_gain: (n,) gains of which ``x`` has a factor [N m/rad].
@@ -104,9 +104,9 @@ class ServoFit:
     """
 
     x: Array
-    links: Array
+    link_errors: Array
     covariance: Array
-    directions: Array
+    links: KnownLinks
     x_given_links: Array
     given_links: Array
     likely_gain: Array
@@ -406,9 +406,9 @@ def fit_servos(
     x_given_links, given_links = _given_links(whole, covariance)
     return ServoFit(
         x=x,
-        links=whole[:, n_unknowns:],
+        link_errors=whole[:, n_unknowns:],
         covariance=covariance,
-        directions=arm.courses.directions,
+        links=arm.courses.links,
         x_given_links=x_given_links,
         given_links=given_links,
         likely_gain=likely,

@@ -27,6 +27,7 @@ import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.links import EXPECTED, link_factor
 from robot_sysid.records import Array, Recording, RobotModel
+from robot_sysid.records.servo_setting import UNKNOWN
 from robot_sysid.servo.loop import (
     MAX_DELAY,
     commands,
@@ -37,6 +38,7 @@ from robot_sysid.servo.loop import (
 from robot_sysid.servo.setting import gain_of, links_of, strength_of
 from robot_sysid.servo.unknowns import NAMES, SLIP_SPEED
 from robot_sysid.simulation.playback import interpolate
+from robot_sysid.spatial import N_INERTIAL
 
 STEPS = (0.001, 0.002)
 """Least and largest time step [s]."""
@@ -197,7 +199,7 @@ def _links(robot: RobotModel, piece: Recording, factor: Array) -> _Links:
     motion = dynamics.motion(q, qd, qdd)
     torque = motion.torque(thetas)
     links = np.arange(robot.n_joints)
-    unknown = factor * np.repeat(~is_known, len(factor) // len(links))[:, None]
+    unknown = factor * np.repeat(~is_known, N_INERTIAL)[:, None]
     errors = motion.columns(links.tolist()) @ unknown
     by_thetas = inertia_columns(dynamics, q)
     inertia = by_thetas @ thetas.ravel()
@@ -210,6 +212,22 @@ def _links(robot: RobotModel, piece: Recording, factor: Array) -> _Links:
     return _Links(along, qd, qdd, errors, by_thetas @ unknown)
 
 
+@dataclass(frozen=True)
+class KnownLinks:
+    """The links of an arm, as far as they are known before a log.
+
+    Attributes:
+        thetas: (n, 10) those of the file; of one that was weighed, as it was.
+        factor: (10 n, E) their errors, see ``link_factor``; none of one that was weighed.
+        directions: (n, 10 n, J) of each joint the thetas of all links by one standard deviation of
+            each direction of link errors.
+    """
+
+    thetas: Array
+    factor: Array
+    directions: Array
+
+
 class Courses:
     """What the links ask of an arm's joints along pieces of its logs, to be cut into tracks.
 
@@ -220,8 +238,7 @@ class Courses:
         pieces: of logs, which have commands.
 
     Attributes:
-        directions: (n, 10 n, J) of each joint the thetas of all links by one standard deviation of
-            each direction of link errors.
+        links: as far as they are known.
     """
 
     def __init__(self, robot: RobotModel, pieces: Sequence[Recording]) -> None:
@@ -235,7 +252,13 @@ class Courses:
             *_, rows = np.linalg.svd(of_joint, full_matrices=False)
             directions.append(rows[:DIRECTIONS].T)
         self._links = [_in_directions(each, directions) for each in links]
-        self.directions = np.stack([factor @ each for each in directions])
+        # A link that was weighed once is known.
+        whole = (each.setting for each in pieces if each.setting.is_whole_link)
+        thetas, is_known = links_of(robot, next(whole, UNKNOWN))
+        unknown = np.repeat(~is_known, N_INERTIAL)[:, None] * factor
+        self.links = KnownLinks(
+            thetas, unknown, np.stack([unknown @ each for each in directions])
+        )
 
     def tracks(self, window: float, most: int) -> Tracks:
         """Return the tracks of all joints in windows of the pieces.

@@ -52,7 +52,7 @@ SMALL_GAIN = 0.02
 """Gain of a step at which a search ends, of the sum of squares."""
 RENEWED = 3
 """Steps of a search after which the weights of position errors are renewed."""
-REPEATED = 10.0
+REPEATED = 4.0
 """Independent residuals that count as one where link errors are searched: what servos do otherwise
 comes again with the motion, and would be taken for errors of links."""
 LEAST_CORRELATION = 0.1

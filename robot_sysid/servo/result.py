@@ -300,7 +300,7 @@ def _matrix(
 
 def _cell(value: float, error: float) -> str:
     """Return a number with its error, or that it is not shown."""
-    if abs(value) < NOTHING and np.isfinite(error):
+    if abs(value) < NOTHING and error < NOTHING:
         return "0"
     if not error < LARGEST_ERROR * abs(value):
         return UNKNOWN

@@ -144,4 +144,6 @@ def test_the_advised_gain_leaves_what_is_said(robot):
         dead_band = 0.5 * np.ptp(errors)
         assert abs(abs(sag) - left.numbers["sag"]) < 0.05 * left.numbers["sag"] + 1e-4
         assert dead_band <= 1.05 * left.numbers["dead_band"]
-    assert largest_weights(robot)[0][0] == pytest.approx(0.4 * 9.81 * 0.2, rel=0.05)
+    assert largest_weights(robot, robot.thetas)[0][0] == pytest.approx(
+        0.4 * 9.81 * 0.2, rel=0.05
+    )

@@ -38,18 +38,23 @@ def arm(mass=0.3, limits="-2 2"):
     return robot_of(ARM.format(mass=mass, range=limits))
 
 
+def largest_of(robot):
+    """The largest weight of the first joint."""
+    return largest_weights(robot, robot.thetas)[0][0]
+
+
 @pytest.mark.parametrize("mass", [0.3, 1.2])
 def test_weights_are_the_largest_within_the_joints_range(mass):
     whole = mass * 9.81 * 0.1
-    assert largest_weights(arm(mass))[0][0] == pytest.approx(whole, rel=1e-3)
+    assert largest_of(arm(mass)) == pytest.approx(whole, rel=1e-3)
     # Hanging, and up to 0.3 rad from it.
-    low, _ = largest_weights(arm(mass, f"{np.pi / 2 - 0.3} {np.pi / 2 + 0.3}"))
-    assert low[0] == pytest.approx(whole * np.sin(0.3), rel=0.01)
+    low = largest_of(arm(mass, f"{np.pi / 2 - 0.3} {np.pi / 2 + 0.3}"))
+    assert low == pytest.approx(whole * np.sin(0.3), rel=0.01)
 
 
 def test_formulas_of_what_needs_no_scale():
     robot = arm()
-    weight = largest_weights(robot)[0][0]
+    weight = largest_weights(robot, robot.thetas)[0][0]
     found = derived_numbers(robot, servo_fit(robot, **FOUND))
     expected = {
         "dead_band": ("rad", (0.08 + 0.04) / 16.0 + 0.01),
@@ -87,7 +92,7 @@ def test_friction_and_limit_do_not_follow_a_gain_that_is_set(times):
 def moved(fit, step):
     """A fit with other unknowns and link errors."""
     u = len(NAMES)
-    return replace(fit, x=fit.x + step[:u], links=fit.links + step[u:])
+    return replace(fit, x=fit.x + step[:u], link_errors=fit.link_errors + step[u:])
 
 
 def correlated(robot, size):
@@ -156,10 +161,12 @@ def test_a_gain_that_is_off_as_the_links_are_leaves_the_sag():
 def test_links_that_were_found_heavier_sag_more():
     robot = arm()
     fit = servo_fit(robot, **FOUND)
-    heavier = replace(fit, links=fit.links + np.eye(fit.links.shape[1])[0])
+    heavier = replace(
+        fit, link_errors=fit.link_errors + np.eye(fit.link_errors.shape[1])[0]
+    )
     before, after = (derived_numbers(robot, each)["sag"] for each in (fit, heavier))
-    weight, by_thetas = largest_weights(robot)
-    more = by_thetas[0] @ fit.directions[0, :, 0]
+    weight, by_thetas = largest_weights(robot, robot.thetas)
+    more = by_thetas[0] @ fit.links.directions[0, :, 0]
     assert more > 0.1 * weight[0]
     assert_allclose(after.values, before.values * (1.0 + more / weight), rtol=1e-9)
 

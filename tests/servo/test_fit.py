@@ -16,6 +16,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.servo_setting import UNKNOWN, parse_servo_setting
+from robot_sysid.servo.derived import derived_numbers
 from robot_sysid.servo.fit import (
     LEAST_TIME_ERROR,
     common,
@@ -266,6 +267,10 @@ def test_a_load_that_is_the_whole_link_fixes_the_scale():
         deviation = UNKNOWNS["gain"].deviation
         errors.append(deviation * np.sqrt(found.covariance[0, k, k]))
         gain = found.over_gain[0, k]
+        # The sag is known either way.
+        sag = derived_numbers(robot, found)["sag"]
+        assert sag.values[0] == pytest.approx(0.3 * 9.81 * 0.102 / 14.0, rel=0.1)
+        assert sag.errors[0] < 0.1 * sag.values[0]
         if setting is weighed:
             assert gain == pytest.approx(14.0, rel=0.06)
         else:
