@@ -6,9 +6,8 @@ Each arm is an SO-101 with links 10 to 20 % off its file (one of them 40 %), and
 damping and Coulomb friction of its own. All have a limit of voltage beside which damping stands (of
 every third arm, a part of it), friction that grows with load, friction at rest that fades over 0.05
 to 0.3 rad/s, and a lag; half of the joints of every second arm have a dead zone of 0.2 to 1 degree.
- 40 s of sines and steps are logged
-at 25 to 200 Hz by encoders of 4096 steps a turn; commands act up to 0.1 s late. The arm is stepped
-by ``ArmStepper``, which shares no code with what fits it.
+40 s of sines and steps are logged at 25 to 200 Hz by encoders of 4096 steps a turn; commands act up
+to 0.1 s late. The arm is stepped by ``ArmStepper``, which shares no code with what fits it.
 
 The first half is fitted; the second half is played by the numbers of the file in windows of 5 s. An
 error counts in stated ones.

@@ -43,6 +43,9 @@ from robot_sysid.mjcf.urdf import (
 )
 from robot_sysid.records import Array, Flange
 
+RANGES = {"forcerange": "forcelimited", "actuatorfrcrange": "actuatorfrclimited"}
+"""Attribute with a largest torque to both sides to the one that makes it act."""
+
 
 @dataclass(frozen=True)
 class BodyChange:
@@ -288,9 +291,9 @@ def write_element(document: ModelDocument, change: ElementChange, rmse: float) -
         if name == "kv":
             # A <position> states its damping itself or by a ratio, not both.
             node.attrib.pop("dampratio", None)
-        if name == "forcerange":
+        if name in RANGES:
             text = f"-{text} {text}"
-            node.set("forcelimited", "true")
+            node.set(RANGES[name], "true")
         if name == "solimpfriction":
             # Behind both ends of its impedance are the numbers of the way between them.
             further_numbers = (node.get(name) or "").split()[2:]

@@ -199,9 +199,12 @@ def simulator_card(
             merged[parts[0].name] = others, _exact_numbers(sum_theta(parts))
     traces = result.traces(every_sample=False) if result and result.traces else None
     friction = straight_friction(written, traces)
+    actuators = chain_actuators(written)
+    own_damping = actuators.damping_share * actuators.damping
     columns = {
         "armature": written.armature,
-        "damping": friction.viscous,
+        # That of the servo as well: what a simulator's servo has is the sum.
+        "damping": friction.viscous + own_damping,
         "frictionloss": friction.dry,
         "effort_limit": written.limits.torque,
     }
@@ -316,13 +319,13 @@ def _dc_motors(
         gain, limit, damping = map(
             numbers.get, ("stiffness", "effort_limit", "damping")
         )
-        if gain and limit and damping:
-            all_damping = damping + own_damping[name]
+        beside = (damping or 0.0) - own_damping[name]
+        if gain and limit and beside > 0.0:
             lines.append(
                 f"<dcmotor name={quoteattr(name)} joint={quoteattr(name)} "
-                f'input="pos" motorconst="{damping / limit:.9g}" '
-                f'resistance="{damping / limit**2:.9g}" '
-                f'controller="{gain:.9g} 0 {all_damping:.9g} 0 0 1"{late}/>'
+                f'input="pos" motorconst="{beside / limit:.9g}" '
+                f'resistance="{beside / limit**2:.9g}" '
+                f'controller="{gain:.9g} 0 {damping:.9g} 0 0 1"{late}/>'
             )
     return lines
 

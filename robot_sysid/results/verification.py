@@ -154,6 +154,9 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
             expected.actuator_biasprm[row, friction] = 0.0
         if owner == "joint":
             joint = labels.index(element.owner)
+            if "actuatorfrcrange" in element.numbers:
+                largest = element.numbers["actuatorfrcrange"]
+                expected.jnt_actfrcrange[joint] = (-largest, largest)
             if "springyield" in element.numbers:
                 # It has no stiffness already, see ``model.dry_friction``.
                 expected.jnt_springyield[joint] = 0.0
@@ -174,7 +177,7 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
 def _moving_numbers(element: ElementChange) -> list[str]:
     """Return which numbers of a joint or tendon MuJoCo keeps with those of its motion."""
     is_joint = element.kind == "joint"
-    elsewhere = (*SPRING_NUMBERS, FIRMNESS)
+    elsewhere = (*SPRING_NUMBERS, FIRMNESS, "actuatorfrcrange")
     return [n for n in element.numbers if not (is_joint and n in elsewhere)]
 
 

@@ -246,13 +246,14 @@ def _has_other_unit(joint: Following) -> str:
     """Return the complaint on the size of commands; "" for none."""
     is_small = joint.correlation >= LEAST_CORRELATION and joint.slope < LEAST_SLOPE
     is_large = joint.slope > LARGEST_SLOPE and joint.command_range > LARGEST_RANGE
-    text = (
+    if not is_small and not is_large:
+        return ""
+    return (
         f"commands change {joint.slope:.3g} times as much (degrees 57.3 times, steps of 4096 a "
         "turn 652 times as much as rad); check their units "
         f"({option_name('units')}, or {option_name('columns', 'FILE')} such as "
         f"'command.JOINT = {1.0 / joint.slope:.4g} * TITLE')"
     )
-    return text if is_small or is_large else ""
 
 
 def _has_other_zero(joint: Following) -> str:

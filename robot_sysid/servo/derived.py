@@ -21,6 +21,8 @@ from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.play import KnownLinks
 from robot_sysid.servo.unknowns import DEVIATIONS, NAMES, UNKNOWNS, numbers_at
 
+LEAST_WEIGHT = 1e-6
+"""Weight that is none [N m or N]."""
 POSES = 400
 """Number of poses that are drawn for the largest weight."""
 TURN = np.pi
@@ -105,8 +107,10 @@ def _formulas() -> Mapping[str, tuple[str, Callable[[dict[str, Array]], Array]]]
         return at["frictionloss"] / at["damping"]
 
     def strength(at: dict[str, Array]) -> Array:
-        """Return the largest torque over the largest weight."""
-        return at["torque_limit"] * at["gain"] / np.maximum(at["weight"], 1e-12)
+        """Return the largest torque over the largest weight; zero of a joint that carries none."""
+        torque = at["torque_limit"] * at["gain"]
+        carries = at["weight"] > LEAST_WEIGHT
+        return carries * torque / np.maximum(at["weight"], LEAST_WEIGHT)
 
     return {
         "dead_band": ("rad", dead_band),

@@ -65,6 +65,8 @@ LARGEST_ERROR = 0.4
 FIRM = 0.99
 """Firmness of dry friction in the written model: as MuJoCo has it, 0.9, a joint that holds a load
 creeps by about 0.01 rad/s, which no gear does."""
+LEAST_SHARE = 1e-3
+"""Share of the damping within a servo's limit that is none."""
 SHOWN = 4.0
 """Rise of squares, over those of independent errors, from which a torque limit is reached."""
 FASTEST_TURN = 1.2
@@ -414,7 +416,7 @@ def fit_servos(
         likely_gain=likely,
         is_known=is_known,
         is_fast=is_fast & is_known,
-        in_file=_in_file(robot, arm, held, delay),
+        in_file=_in_file(robot, arm, second, held, delay),
         held_x=held.at.x,
         mean=mean,
         deviation=deviation,
@@ -493,9 +495,17 @@ def _gains_by_torque(
 
 
 def _in_file(
-    robot: RobotModel, arm: ArmFit, held: Solved, delay: float
+    robot: RobotModel, arm: ArmFit, second: Solved, held: Solved, delay: float
 ) -> ServoParameters:
-    """Return what a model file holds; joints that do not move keep the model's numbers."""
+    """Return what a model file holds; joints that do not move keep the model's numbers.
+
+    Args:
+        robot: the arm as in the model file.
+        arm: the search.
+        second: what was found of all that a servo does.
+        held: what was found with the rest left out.
+        delay: of the commands [s].
+    """
     in_model = servos_in_model(robot)
     numbers = in_model.numbers.copy()
     limits = chain_actuators(robot).limit.copy()
@@ -512,13 +522,20 @@ def _in_file(
     over_gain = np.where(np.isinf(of_model), reached, of_model) / gain
     to = np.log(over_gain / UNKNOWNS["torque_limit"].mean) / DEVIATIONS[k]
     rise = arm.problem(LONG, IN_FILE, False).rise(held.at, "torque_limit", to)
-    # What no motion reaches stays the model's, unless the motion needs more.
-    is_kept = ~shows & (rise < SHOWN)
-    limits[arm.moving] = np.where(is_kept, of_model, reached)
+    # What no motion reaches stays the model's, unless the motion needs more. Where friction under
+    # load hides the limit, with the rest left out, it is that of the whole.
+    whole = numbers_at(second.at.x)
+    of_whole = whole[:, k] * whole[:, column("gain")] * arm.likely_gain
+    shows_whole = DEVIATIONS[k] * np.sqrt(second.covariance[:, k, k]) < LARGEST_ERROR
+    otherwise = np.where(
+        shows_whole, of_whole, np.where(rise < SHOWN, of_model, reached)
+    )
+    limits[arm.moving] = np.where(shows, reached, otherwise)
     servo_damping = in_model.servo_damping.copy()
     # A spring stands for the servo that a model does not have.
     has_servo = np.isfinite(in_model.numbers[0])[arm.moving]
     limited = has_servo * found[:, column("limited_damping")]
+    limited[limited < LEAST_SHARE] = 0.0
     servo_damping[arm.moving] = limited * numbers[1, arm.moving]
     firmness = in_model.firmness.copy()
     firmness[arm.moving] = FIRM

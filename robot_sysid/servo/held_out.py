@@ -29,9 +29,9 @@ def hold_out(piece: Recording) -> tuple[Recording, Recording]:
     half = 0.5 * SHARE * n / count
     number = np.arange(n)
     is_held_out = np.any(np.abs(number - middles[:, None]) < half, axis=0)
-    is_left_out = piece.is_left_out
+    hole = np.zeros(n) if piece.hole is None else piece.hole
     parts = (is_held_out, ~is_held_out)
     fitted, held_out = (
-        replace(piece, hole=np.where(part | is_left_out, np.inf, 0.0)) for part in parts
+        replace(piece, hole=np.where(part, np.inf, hole)) for part in parts
     )
     return fitted, held_out

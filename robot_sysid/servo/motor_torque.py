@@ -35,7 +35,7 @@ from robot_sysid.faults.misfits import EXACT_TORQUE
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import percent
-from robot_sysid.servo.loop import commands, low_pass, low_pass_motion
+from robot_sysid.servo.loop import commands, low_pass, low_pass_motion, stretches
 from robot_sysid.servo.play import LINK_ERROR
 from robot_sysid.servo.played_fit import Solved
 from robot_sysid.servo.setting import gain_of, links_of, strength_of
@@ -59,6 +59,10 @@ LATE = (
     *((0.0, lag) for lag in (0.005, 0.01, 0.02, 0.03, 0.04, 0.06, 0.1)),
 )
 """Delays, and time constants of averages, of torques beside positions that are tried [s]."""
+
+
+MOST_COMPUTED = 0.5
+"""Share of torques that were computed from which on all are taken to be."""
 
 
 class TorqueFault(Enum):
@@ -195,7 +199,12 @@ def gains_by_torque(
         x: (k, u) of their servos (``unknowns``), if the links are those of the file.
         x_error: (k, u) standard errors of ``x``.
     """
-    measured = [piece for piece in pieces if piece.motor_torque is not None]
+    measured = [
+        piece[rows]
+        for piece in pieces
+        if piece.motor_torque is not None
+        for rows in stretches(piece)
+    ]
     if not measured:
         return None
     logs = _MotorLogs(robot, measured, pieces[0], moving)
@@ -218,6 +227,12 @@ def gains_by_torque(
             relative = np.hypot(slope_error / slope, usual_errors.TORQUE_FROM_CURRENT)
             gain[joint] = np.log(slope / likely_gain[joint]) / scale
             error[joint] = relative / scale
+    is_computed = np.array([fault is TorqueFault.COMPUTED for fault in faults])
+    if np.mean(is_computed) >= MOST_COMPUTED:
+        # What computes most torques computes all.
+        faults = [TorqueFault.COMPUTED] * len(moving)
+        gain = x[:, _GAIN].copy()
+        error[:] = np.inf
     off = np.abs(gain - x[:, _GAIN])
     unseen = SURE * np.hypot(error, links_error)
     is_off = off > unseen

@@ -439,7 +439,8 @@ class _Servos:
         damping: of joint and servo [s].
         limited: part of it that the servo commands, within its limit [s].
         coulomb, stribeck: friction, and what there is more of it at rest [rad or m].
-        share: friction over the torque of motor and links.
+        share, load_stribeck: friction over the torque of motor and links, and what it is more at
+            rest.
         per_gain: one over the gain [rad/(N m)].
         rotor: inertia over the time step [s].
     """

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.records import Array
+from robot_sysid.servo.loop import LEAST_MOTION
 from robot_sysid.servo.play import Tracks, play
 from robot_sysid.servo.unknowns import LEAST, MOST, STEPS, column, numbers_at
 
@@ -123,7 +124,13 @@ class PlayedFit:
         self.n_links = len(tracks.errors) if with_links else 0
         self.repeated = REPEATED if with_links else 1.0
         self.count = len(likely_gain)
-        self.samples = self._by_problem(np.sum(tracks.is_sample, axis=1, dtype=float))
+        # Errors are those of motion: a joint that stands for most of a log shows none.
+        q = np.where(tracks.is_sample, tracks.measured, np.nan)
+        is_moving = np.nanmax(q, axis=1) - np.nanmin(q, axis=1) >= LEAST_MOTION
+        moves = self._by_problem(is_moving.astype(float)) > 0.0
+        self.counted = (is_moving | ~moves[problem]).astype(float)
+        samples = np.sum(tracks.is_sample, axis=1) * self.counted
+        self.samples = self._by_problem(samples)
 
     def _by_problem(self, values: Array) -> Array:
         """Return the sums (P, ...) of values (T, ...) of each problem's tracks."""
@@ -250,17 +257,18 @@ class PlayedFit:
 
     def _sizes(self, missed: Array) -> Array:
         """Return the root mean square position errors (P,) of errors (T, m)."""
-        squares = self._by_problem(np.sum(missed**2, axis=1))
+        squares = self._by_problem(self.counted * np.sum(missed**2, axis=1))
         return np.sqrt(squares / self.samples) + LEAST_ERROR
 
     def _correlated(self, missed: Array) -> Array:
         """Return how many samples (P,) count as one, by the autocorrelation of their errors."""
-        power = self._by_problem(np.sum(missed**2, axis=1)) + LEAST_ERROR**2
+        squares = self.counted * np.sum(missed**2, axis=1)
+        power = self._by_problem(squares) + LEAST_ERROR**2
         total = np.ones(self.count)
         is_on = np.ones(self.count, dtype=bool)
         for lag in range(1, missed.shape[1]):
             product = np.sum(missed[:, lag:] * missed[:, :-lag], axis=1)
-            correlation = self._by_problem(product) / power
+            correlation = self._by_problem(self.counted * product) / power
             is_on &= correlation > LEAST_CORRELATION
             if not np.any(is_on):
                 break

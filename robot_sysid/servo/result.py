@@ -125,7 +125,9 @@ class ServoIdentification:
         )
         in_file = dict(zip(IN_FILE, fit.in_file.numbers))
         in_file[LIMIT] = fit.in_file.limits
-        in_file[LIMITED] = fit.in_file.servo_damping / in_file["damping"]
+        # A joint without any damping has no share of it.
+        all_damping = np.maximum(in_file["damping"], LEAST_DAMPING)
+        in_file[LIMITED] = fit.in_file.servo_damping / all_damping
         for name, unit in (*IN_FILE.items(), (LIMIT, "N·m"), (LIMITED, "")):
             for k, of in enumerate(joints):
                 if self.is_new[k]:
@@ -200,6 +202,9 @@ class ServoIdentification:
             numbers["solimpfriction"] = float(servos.firmness[k])
             own_damping = float(servos.servo_damping[k])
             numbers["damping"] -= own_damping
+            # A joint's own range would cut what its servo gives.
+            if actuators.limit[k] < servos.limits[k]:
+                numbers.update(self._ranges_of_joint(k))
             yield ElementChange("joint", self.robot.joint_names[k], numbers)
             if np.isfinite(actuators.stiffness[k]):
                 gear = float(actuators.gear[k])
@@ -209,6 +214,14 @@ class ServoIdentification:
                 if np.isfinite(servos.limits[k]):
                     gains["forcerange"] = float(servos.limits[k]) / abs(gear)
                 yield ElementChange("actuator", int(actuators.index[k]), gains)
+
+    def _ranges_of_joint(self, k: int) -> dict[str, float]:
+        """Return the range of torques of a joint that has one, as its servo's limit is."""
+        model = self.robot.mj_model
+        joint = model.dof_jntid[self.robot.dof_index[k]]
+        if not model.jnt_actfrclimited[joint]:
+            return {}
+        return {"actuatorfrcrange": float(self.fit.in_file.limits[k])}
 
     def json_content(self) -> dict[str, Any]:
         """Return the content of servo.json, which ``json_text`` turns into text."""
@@ -252,6 +265,8 @@ RATIOS = tuple(COLUMNS)[:5]
 """Numbers that need no scale."""
 SIZES = tuple(COLUMNS)[5:]
 """Numbers whose scale is that of the model's masses."""
+LEAST_DAMPING = 1e-12
+"""Damping that is none [N m s/rad]."""
 NOTHING = 1e-9
 """Size below which a number is rounding, as the sag of a joint that carries no weight."""
 UNKNOWN = "?"
@@ -312,6 +327,13 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
     if result.fit.by_torque is not None:
         yield from result.fit.by_torque.notes
     names = np.array(result.robot.joint_names)
+    bodies = {body.body_id for link in result.robot.links for body in link.bodies}
+    if np.any(result.robot.mj_model.body_gravcomp[sorted(bodies)]):
+        yield (
+            "the model compensates gravity (gravcomp), which no servo of a position does: files "
+            "were judged without it and keep it, so that they move otherwise; set gravcomp to 0 "
+            "in the model, and identify again"
+        )
     still = names[~result.fit.is_known]
     if len(still):
         yield f"{', '.join(still)}: {STILL}"

@@ -160,7 +160,8 @@ def forward_model(robot: RobotModel) -> Any:
     model = analysis_copy(robot.mj_model, disabled)
     model.opt.solver = int(mujoco.mjtSolver.mjSOL_NEWTON)
     model.opt.iterations = 100
-    model.opt.tolerance = 1e-8
+    # With less, a joint that its friction holds creeps.
+    model.opt.tolerance = 1e-14
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     held_dofs = np.setdiff1d(np.arange(model.nv), robot.dof_index)
     model.dof_armature[held_dofs] = HOLDING_ARMATURE
