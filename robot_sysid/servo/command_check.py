@@ -284,7 +284,10 @@ _CHECKS: Sequence[Callable[[Following], str]] = (
 
 def _complaints(log: Recording, joint_names: Sequence[str]) -> Iterator[str]:
     """Yield what is wrong with the commands of joints of a log."""
-    moving = np.flatnonzero(np.ptp(log.q, axis=0) >= LEAST_MOTION).tolist()
+    travel = np.ptp(log.q, axis=0)
+    # A joint that is held sags as the others load it, and follows nothing.
+    is_held = (np.ptp(commands(log), axis=0) < LEAST_MOTION) & (travel < LARGEST_OFFSET)
+    moving = np.flatnonzero((travel >= LEAST_MOTION) & ~is_held).tolist()
     servos = {k: follow(log.time, log.q[:, k], commands(log)[:, k]) for k in moving}
     for k, joint in servos.items():
         faults = [*filter(None, (check(joint) for check in _CHECKS))]

@@ -94,7 +94,7 @@ def draw(motion, seed, count):
 
 def is_refused(log):
     try:
-        check_commands([log], ["servo"])
+        check_commands([log], ["servo", "other"])
     except InputError:
         return True
     return False
@@ -109,6 +109,17 @@ def test_no_servo_is_refused_however_weak(motion, least, count):
     assert [k for k in runs.moving if is_refused(runs.log(k))] == []
     exchanged = [is_refused(runs.log(k, reverse=True)) for k in runs.moving]
     assert np.mean(exchanged) >= least
+
+
+def test_a_joint_that_is_held_may_sag_as_others_load_it():
+    time = np.arange(300) / 30.0
+    command = np.column_stack((np.sin(time), 0.0 * time + 0.4))
+    q = np.column_stack((0.95 * np.sin(time - 0.05), 0.38 - 0.04 * np.cos(time)))
+    log = Recording(time, q, None, command - q, command=command)
+    assert not is_refused(log)
+    # One that moves far has commands of its own somewhere.
+    far = np.column_stack((q[:, 0], 0.6 * np.cos(time)))
+    assert is_refused(Recording(time, far, None, command - far, command=command))
 
 
 def test_degrees_are_refused_of_weak_servos_too():

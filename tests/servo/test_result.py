@@ -274,3 +274,14 @@ def test_a_servo_faster_than_its_samples_has_a_note():
     result = identification_of(ROBOT, replace(fit, is_fast=is_fast))
     (note,) = (note for note in servo_notes(result) if "faster" in note)
     assert note.startswith(f"{ROBOT.joint_names[0]}: the servo swings faster")
+
+
+def test_a_range_of_the_joint_does_not_cut_a_larger_limit_of_its_servo():
+    """MuJoCo cuts the torque at the joint, whatever the actuator's range."""
+    own = 'actuatorfrcrange="-4 4" '
+    robot = robot_of(XML.replace('name="joint0" ', f'name="joint0" {own}', 1))
+    joint, servo, *_ = identification_of(robot).changes()
+    assert servo.numbers["forcerange"] == FOUND["torque_limit"] > 4.0
+    assert joint.numbers["actuatorfrcrange"] == FOUND["torque_limit"]
+    free, *_ = identification_of(ROBOT).changes()
+    assert "actuatorfrcrange" not in free.numbers

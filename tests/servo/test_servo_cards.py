@@ -65,10 +65,13 @@ def write(robot, folder, fit):
     return servo.write_servos(config, identification_of(robot, fit), poses)
 
 
-@pytest.fixture(scope="module")
-def output(robot, tmp_path_factory):
+@pytest.fixture(scope="module", params=[0.0, 0.4])
+def output(request, robot, tmp_path_factory):
+    """Results of servos that command a share of the damping, within their limits."""
     folder = tmp_path_factory.mktemp("out")
-    write(robot, folder, servo_fit(robot, **NUMBERS))
+    fit = servo_fit(robot, **NUMBERS)
+    own = request.param * fit.in_file.numbers[1]
+    write(robot, folder, replace(fit, in_file=replace(fit.in_file, servo_damping=own)))
     return folder
 
 
@@ -80,7 +83,10 @@ def test_a_card_has_the_servos_as_found_and_as_in_the_file(output, simulator):
         in_file = card["JOINTS"][joint]
         assert in_file["stiffness"] == pytest.approx(model.actuator_gainprm[k, 0])
         assert in_file["effort_limit"] == pytest.approx(model.actuator_forcerange[k, 1])
-        assert in_file["damping"] == pytest.approx(model.dof_damping[k])
+        # That of a joint and of its servo, which a simulator's servo has as one.
+        damping = model.dof_damping[k] - model.actuator_biasprm[k, 2]
+        assert in_file["damping"] == pytest.approx(damping)
+        assert damping == pytest.approx(NUMBERS["damping"][k])
         found = card["SERVOS"][joint]
         for name, number in found.items():
             expected = np.broadcast_to(NUMBERS.get(name, 0.0), 2)[k]
