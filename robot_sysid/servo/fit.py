@@ -16,7 +16,7 @@ n is the number of joints, u that of unknowns.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +76,7 @@ FIXED = 1e-6
 COMMON = {"command_delay": 0.0, "loop_lag": 0.002}
 """Times that the joints of an arm share, a bus and one kind of servo, and how far off one joint is
 [s]."""
-LEAST_TIME_ERROR = 1e-3
+LEAST_TIME_ERROR = 1.5e-3
 """Error of such a time by what servos do otherwise than by a delay and one lag [s]."""
 
 
@@ -382,10 +382,12 @@ def fit_servos(
     less = arm.search("What the file holds", IN_FILE, arm.with_delay(base))
     # A form that holds more plays no worse: where it does, its search ended in a wrong place.
     is_wrong = less.error < first.error
-    x = np.where(is_wrong[:, None], less.at.x, first.at.x)
-    first = replace(first, at=replace(first.at, x=x))
+    wrong = np.flatnonzero(is_wrong)
+    first.at.x[wrong] = less.at.x[wrong]
+    first.covariance[wrong] = less.covariance[wrong]
     by_torque = _gains_by_torque(robot, arm, pieces, first)
-    second = arm.refine("Servos, in long windows", NAMES, arm.with_delay(x), True)
+    begin = arm.with_delay(first.at.x)
+    second = arm.refine("Servos, in long windows", NAMES, begin, True)
     mean, deviation = arm.mean.copy(), arm.deviation.copy()
     if by_torque is not None:
         second = by_torque.weigh_into(second)

@@ -122,7 +122,7 @@ def test_joints_that_agree_are_surer_together():
     found = delays(*[0.02] * 4, errors=[8e-3] * 4)
     delay, error = common("command_delay", *found)
     assert delay == pytest.approx(0.02, abs=1e-12)
-    assert error == pytest.approx(4e-3, rel=0.01)
+    assert error == pytest.approx(np.hypot(8e-3, LEAST_TIME_ERROR) / 2.0, rel=1e-6)
 
 
 def test_a_delay_on_which_joints_disagree_is_less_sure():
