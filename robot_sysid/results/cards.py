@@ -200,10 +200,10 @@ def simulator_card(
     traces = result.traces(every_sample=False) if result and result.traces else None
     friction = straight_friction(written, traces)
     actuators = chain_actuators(written)
-    own_damping = actuators.damping_share * actuators.damping
+    # Of servos that were identified, a simulator has one damping: that of servo and joint.
+    own_damping = _has_servos(rows) * actuators.damping_share * actuators.damping
     columns = {
         "armature": written.armature,
-        # That of the servo as well: what a simulator's servo has is the sum.
         "damping": friction.viscous + own_damping,
         "frictionloss": friction.dry,
         "effort_limit": written.limits.torque,
@@ -232,12 +232,17 @@ def simulator_card(
         joints=joints,
         loaded=loaded,
         servos=servos,
-        dc_motors=_dc_motors(written, joints, servos) if servos else (),
+        dc_motors=_dc_motors(written, joints, servos, own_damping) if servos else (),
         replaced=friction.replaced,
         gravity=tuple(map(_exact, written.mj_model.opt.gravity)),
         has_shared_motors=bool(shared_motors(written.mj_model, written.dof_index)),
         has_nameless=any(name.startswith("#") for name in (*bodies, *joints)),
     )
+
+
+def _has_servos(rows: Sequence[Quantity]) -> bool:
+    """Return whether rows are of servos that were identified."""
+    return any(row.name == "command_delay" for row in rows)
 
 
 def _servo_numbers(
@@ -247,9 +252,9 @@ def _servo_numbers(
 
     The numbers of the written model's servos are added to its joints, None for those that it lacks.
     """
-    found = {(row.name, row.of): row for row in rows if row.source != FILE}
-    if "command_delay" not in {name for name, _ in found}:
+    if not _has_servos(rows):
         return None
+    found = {(row.name, row.of): row for row in rows if row.source != FILE}
     in_file = {(row.name, row.of): row.value for row in rows if row.source == FILE}
     numbers = {}
     ranges = {}
@@ -298,6 +303,7 @@ def _dc_motors(
     written: RobotModel,
     joints: Mapping[str, Mapping[str, float | None]],
     servos: ServoNumbers,
+    own_damping: Array,
 ) -> list[str]:
     """Return a line of MJCF for each servo with a torque limit: a motor of 1 V with back-EMF.
 
@@ -305,21 +311,17 @@ def _dc_motors(
     torque k (1 V - k v) / R at speed v is t - d v. The controller asks for gain times position
     error, less d v and the servo's own damping, as far as the voltage suffices.
     """
-    actuators = chain_actuators(written)
-    own_damping = dict(
-        zip(written.joint_names, actuators.damping_share * actuators.damping)
-    )
     delay, _ = servos.delay
     late = ""
     if delay:
         samples = math.ceil(delay / written.mj_model.opt.timestep)
         late = f' delay="{delay:.6g}" nsample="{samples}"'
     lines = []
-    for name, numbers in joints.items():
+    for (name, numbers), own in zip(joints.items(), own_damping.tolist()):
         gain, limit, damping = map(
             numbers.get, ("stiffness", "effort_limit", "damping")
         )
-        beside = (damping or 0.0) - own_damping[name]
+        beside = (damping or 0.0) - own
         if gain and limit and beside > 0.0:
             lines.append(
                 f"<dcmotor name={quoteattr(name)} joint={quoteattr(name)} "
