@@ -285,3 +285,11 @@ def test_a_range_of_the_joint_does_not_cut_a_larger_limit_of_its_servo():
     assert joint.numbers["actuatorfrcrange"] == FOUND["torque_limit"]
     free, *_ = identification_of(ROBOT).changes()
     assert "actuatorfrcrange" not in free.numbers
+
+
+def test_gravity_compensation_of_the_model_is_said():
+    """Rollouts leave it out, and the file keeps it."""
+    robot = robot_of(XML.replace("<body ", '<body gravcomp="1" ', 1))
+    notes = [*servo_notes(identification_of(robot))]
+    assert any("gravcomp" in note for note in notes)
+    assert not any("gravcomp" in note for note in servo_notes(identification_of(ROBOT)))
