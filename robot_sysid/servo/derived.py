@@ -107,10 +107,9 @@ def _formulas() -> Mapping[str, tuple[str, Callable[[dict[str, Array]], Array]]]
         return at["frictionloss"] / at["damping"]
 
     def strength(at: dict[str, Array]) -> Array:
-        """Return the largest torque over the largest weight; zero of a joint that carries none."""
+        """Return the largest torque over the largest weight."""
         torque = at["torque_limit"] * at["gain"]
-        carries = at["weight"] > LEAST_WEIGHT
-        return carries * torque / np.maximum(at["weight"], LEAST_WEIGHT)
+        return torque / np.maximum(at["weight"], LEAST_WEIGHT)
 
     return {
         "dead_band": ("rad", dead_band),
@@ -159,7 +158,13 @@ def derived_numbers(
             slopes[:, k] = (more - less) / (2.0 * CHANGE)
         variance = np.einsum("nk,nkl,nl->n", slopes, covariance, slopes)
         values = formula(at(whole))
-        found[name] = Derived(unit, values, np.sqrt(np.maximum(variance, 0.0)))
+        errors = np.sqrt(np.maximum(variance, 0.0))
+        if name == "torque_over_weight":
+            # A joint that carries nothing has no such number.
+            carries = weight > LEAST_WEIGHT
+            values = np.where(carries, values, 0.0)
+            errors = np.where(carries, errors, np.inf)
+        found[name] = Derived(unit, values, errors)
     return found
 
 
