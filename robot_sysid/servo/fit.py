@@ -529,10 +529,9 @@ def _in_file(
     whole = numbers_at(second.at.x)
     of_whole = whole[:, k] * whole[:, column("gain")] * arm.likely_gain
     shows_whole = DEVIATIONS[k] * np.sqrt(second.covariance[:, k, k]) < LARGEST_ERROR
-    otherwise = np.where(
-        shows_whole, of_whole, np.where(rise < SHOWN, of_model, reached)
+    limits[arm.moving] = np.select(
+        [shows, shows_whole, rise < SHOWN], [reached, of_whole, of_model], reached
     )
-    limits[arm.moving] = np.where(shows, reached, otherwise)
     servo_damping = in_model.servo_damping.copy()
     # A spring stands for the servo that a model does not have.
     has_servo = np.isfinite(in_model.numbers[0])[arm.moving]

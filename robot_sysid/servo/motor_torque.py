@@ -227,21 +227,20 @@ def gains_by_torque(
             relative = np.hypot(slope_error / slope, usual_errors.TORQUE_FROM_CURRENT)
             gain[joint] = np.log(slope / likely_gain[joint]) / scale
             error[joint] = relative / scale
-    is_computed = np.array([fault is TorqueFault.COMPUTED for fault in faults])
-    if np.mean(is_computed) >= MOST_COMPUTED:
+    if faults.count(TorqueFault.COMPUTED) >= MOST_COMPUTED * len(faults):
         # What computes most torques computes all.
-        faults = [TorqueFault.COMPUTED] * len(moving)
-        gain = x[:, _GAIN].copy()
-        error[:] = np.inf
-    off = np.abs(gain - x[:, _GAIN])
+        faults = [TorqueFault.COMPUTED] * len(faults)
+    is_used = np.array([fault is None for fault in faults])
+    off = np.where(is_used, np.abs(gain - x[:, _GAIN]), 0.0)
     unseen = SURE * np.hypot(error, links_error)
     is_off = off > unseen
     # A unit is that of all columns: what is wrong with one may be where no link shows it.
     is_other = is_off | (unseen > np.min(off[is_off], initial=np.inf))
-    for joint in np.flatnonzero(is_other & np.isfinite(error)).tolist():
+    for joint in np.flatnonzero(is_other & is_used).tolist():
         faults[joint] = TorqueFault.OTHER_SIZE
-        gain[joint] = x[joint, _GAIN]
-        error[joint] = np.inf
+    is_used &= ~is_other
+    gain = np.where(is_used, gain, x[:, _GAIN])
+    error = np.where(is_used, error, np.inf)
     names = tuple(robot.joint_names[joint] for joint in moving.tolist())
     return TorqueGains(names, gain, error, tuple(faults))
 

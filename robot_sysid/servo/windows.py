@@ -80,10 +80,11 @@ class ServoProblem:
         played = []
         for piece in pieces:
             beginning = round(unplayed / sampling_period(piece.time))
+            _, qd, _ = low_pass_motion(piece)
             for rows in stretches(piece):
                 first_row = min(max(rows.start, beginning), rows.stop - 1)
-                played.append((piece, slice(first_row, rows.stop)))
-        lengths = [np.ptp(piece.time[rows]) for piece, rows in played]
+                played.append((piece, qd, slice(first_row, rows.stop)))
+        lengths = [np.ptp(piece.time[rows]) for piece, _, rows in played]
         self.length = min(WINDOW, float(min(lengths)))
         if self.length < LEAST_WINDOW:
             raise InputError(
@@ -92,20 +93,15 @@ class ServoProblem:
                 "longer"
             )
         # Samples may come faster than on average.
-        fewest = min(rows.stop - rows.start for _, rows in played) - 1
+        fewest = min(rows.stop - rows.start for *_, rows in played) - 1
         count = min(int(self.length / longest_period(pieces)), fewest)
-        speeds = {id(piece): low_pass_motion(piece)[1] for piece, _ in played}
         cut = []
-        for piece, rows in played:
+        for piece, qd, rows in played:
             for begin in range(rows.start, rows.stop - count, count):
                 at = slice(begin, begin + count)
                 start = piece.time[begin]
                 window = ServoWindow(
-                    start,
-                    piece.q[begin],
-                    speeds[id(piece)][begin],
-                    piece.time,
-                    commands(piece),
+                    start, piece.q[begin], qd[begin], piece.time, commands(piece)
                 )
                 cut.append((window, piece.time[at] - start, piece.q[at], piece.setting))
         cut = cut[:: math.ceil(len(cut) / MAX_WINDOWS)]

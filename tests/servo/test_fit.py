@@ -295,7 +295,7 @@ def test_a_log_shows_no_unit_of_torque():
 
 @pytest.mark.slow
 def test_a_fit_that_begins_at_an_earlier_one_ends_where_that_one_does():
-    """Judged without their ends, the numbers that are used follow from all of the logs."""
+    """Judged without a part of the logs, the numbers that are used follow from all of them."""
     robot = one_joint()
     piece = log(robot, truth())
     part = fit(robot, piece[:240])

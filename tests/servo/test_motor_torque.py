@@ -206,6 +206,17 @@ def test_joints_are_judged_one_by_one(piece):
     assert "torques of elbow are not used" in refused and "unit" in refused
 
 
+def test_what_computes_most_torques_computes_the_rest(piece):
+    """A log that copies the position error of one joint of two has measured neither."""
+    torque = piece.motor_torque.copy()
+    torque[:, 0] = 14.0 * (piece.command - piece.q)[:, 0]
+    by_torque = gains(piece, torque)
+    assert by_torque.faults == (TorqueFault.COMPUTED, TorqueFault.COMPUTED)
+    assert not np.any(by_torque.is_used)
+    (note,) = by_torque.notes
+    assert "lift, elbow are not used" in note
+
+
 def test_a_joint_without_weight_has_the_unit_of_the_others(piece):
     """Its own links would not show that it is off by three."""
     robot = arm()
