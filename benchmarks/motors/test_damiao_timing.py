@@ -78,7 +78,12 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
         export_damiao_trajectory([motion], joints, file)
     # Measure lateness instead of stopping for it.
     settings = PlaySettings(
-        rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0
+        rate=rate,
+        max_lateness=10.0,
+        max_missed=10_000,
+        max_lost=10_000,
+        max_doubted=10_000,
+        max_tracking_error=3.0,
     )
     recording = RecordingOptions(folder / "measured.csv", overwrite=True)
     plan = Plan(

@@ -154,7 +154,7 @@ UNANSWERED = "did not answer in time"
 REPEATS = "rad again and again"
 LATE = "late for a control cycle"
 LOST = (
-    "answer in time for 6 cycles; no confirmation that these motors are disabled: "
+    "answer in time to 5 commands in a row; no confirmation that these motors are disabled: "
     "motor 2. Cut"
 )
 SWITCHED_OFF = "was switched off, or started again"
@@ -190,13 +190,13 @@ def exchanged_load(t):
 
 def silence_then(code):
     """Return cycles of a motor that is silent, and then says once that it does not drive."""
-    return [*stand(5, answered=False), refuse(5, code)]
+    return [*miss(5), refuse(5, code)]
 
 
 def silence_after_belief():
     """Return cycles of a motor that says so, is believed again, and then falls silent."""
-    said = [*stand(4, answered=False), refuse(4, DISABLED)]
-    return [*said, *stand(1), *stand(6, answered=False)]
+    said = [*miss(4), refuse(4, DISABLED)]
+    return [*said, *stand(1), *miss(6)]
 
 
 def damaged_answers():
@@ -230,7 +230,7 @@ INCIDENTS = (
     ),
     Incident(
         "answers lost",
-        sample_case("did not answer in time for 6 cycles", partial(miss, 6)),
+        sample_case("did not answer in time to 5 commands in a row", partial(miss, 6)),
         {
             "pendulums": pendulums(fault(1, lost_replies=True), "11 00 00", LOST),
             "floating": floating(
@@ -284,7 +284,7 @@ INCIDENTS = (
         LIKE_ANOTHER,
         {
             "pendulums": pendulums(
-                slow_adapter(5e-3, 16e-3), SLOWLY, UNANSWERED, is_recorded=False
+                slow_adapter(5e-3, 16e-3), BRAKES, UNANSWERED, is_recorded=False
             )
         },
         SAME_PROGRAM,
@@ -376,13 +376,13 @@ INCIDENTS = (
     ),
     Incident(
         "motor silent after a status that was taken back",
-        sample_case("did not answer in time for 6 cycles", silence_after_belief),
+        sample_case("did not answer in time to 5 commands in a row", silence_after_belief),
         SIGNAL_OF_OTHERS,
         SAME_PROGRAM,
     ),
     Incident(
         "answers that cannot be true",
-        sample_case("what cannot be true", damaged_answers, max_missed=3),
+        sample_case("what cannot be true", damaged_answers),
         SIGNAL_OF_OTHERS,
         SAME_PROGRAM,
     ),

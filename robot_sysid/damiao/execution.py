@@ -186,8 +186,7 @@ _USUAL_ARM = 0
 # With more, an arm that somebody has moved meanwhile would be moved back.
 _HELD_TOLERANCE = 0.05
 # Timeout of a simulated motor's watchdog [s]: as docs/damiao.md recommends for real motors; and in
-# control cycles, where those are slow: two waits for a missing answer, of ``PAUSE`` + 1 cycles
-# each, and two more.
+# control cycles, where those are slow: two more than the least that is allowed.
 _SIMULATED_WATCHDOG = 0.1
 _WATCHDOG_CYCLES = 12.0
 # What an inspection finds where there are no motors.

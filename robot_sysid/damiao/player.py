@@ -107,13 +107,26 @@ class CycleTimer:
         n_passed = max(int(lateness / self.period), 0)
         self.skipped += n_passed
         self._index += n_passed + 1
-        if lateness > self.max_lateness and not lenient:
+        if not lenient:
+            self._require_timely(lateness)
+        return deadline + n_passed * self.period
+
+    def require_kept(self) -> None:
+        """Raise HardwareAbort where the present cycle has not ended by when the next one is due.
+
+        A program that was held in the middle of a cycle finds motors whose watchdogs have ended,
+        and joints elsewhere: that is its own pause, and no fault of theirs.
+        """
+        self._require_timely(self._clock.now() - self.next_deadline)
+
+    def _require_timely(self, lateness: float) -> None:
+        """Raise HardwareAbort for a delay [s] of more than ``max_lateness``."""
+        if lateness > self.max_lateness:
             raise HardwareAbort(
                 f"the computer was {1e3 * lateness:.1f} ms late for a control cycle, limit "
                 f"{1e3 * self.max_lateness:g} ms; allow real-time priority (see docs/damiao.md), "
                 f"close other programs or lower {option_name('rate')}"
             )
-        return deadline + n_passed * self.period
 
 
 @dataclass(frozen=True)
@@ -160,6 +173,11 @@ class PlayReport:
     def n_lost(self) -> Codes:
         """Number (n,) of commands to which no answer came at all."""
         return np.maximum(self.missed - self.late - self.refused, 0)
+
+    @property
+    def lost_share(self) -> float:
+        """Share of all commands to which no answer came at all."""
+        return float(np.sum(self.n_lost) / max(np.sum(self.commands), 1))
 
     @property
     def is_flawless(self) -> bool:
@@ -356,6 +374,7 @@ class Player:
                 self._n_recorded += 1
                 if self._recorder:
                     self._recorder.write(time, origin, replies, acted)
+            self._timer.require_kept()
             self._watch.check(replies, acted, followed, phase)
 
     def _stop_if_asked(self) -> None:

@@ -23,6 +23,7 @@ from robot_sysid.damiao.protocol import (
     REFRESH,
     Bytes,
     CanFrame,
+    Codes,
     Feedback,
     MitCommand,
     Scaling,
@@ -53,12 +54,14 @@ REPLY_SHARE = 0.9
 
 Motors get this time even if the computer began the cycle late; then the next cycle is skipped.
 """
-PAUSE = 4
-"""Number of cycles without any answer of a motor after which a missing answer counts as lost.
+PATIENCE = 4
+"""Number of cycles after which a missing answer counts as lost.
 
 It is 16 ms at 250 Hz, the largest delay that has been observed with a slow adapter.
 """
-
+_LEADING_BACK = 0.1
+"""Time in which a joint that missed commands is led back to its reference [s]: what it lags behind
+needs no more than the motors' damping takes, and what holds an arm back is found 0.1 s later."""
 _LONGEST_GAP = 0.2
 """Longest time since the last command in which a reference may have moved on [s]. Watchdogs of the
 usual length have ended by then; with more, one command could send a joint far at once."""
@@ -76,58 +79,67 @@ work again by then."""
 class Outstanding:
     """Assigns answers to the commands of n motors, although answers carry no number.
 
-    Each command is answered once, in order. Where an answer is missing at the end of its cycle, the
-    motor's next answer may be the missing one, late, or the answer to the next command. So the
-    motor gets no new command until the missing answer has come or is long overdue. Then no late
-    answers are left in a slow adapter, and each answer belongs to the command before it.
+    Each command is answered once, in order. Where an answer is missing at the end of its cycle, it
+    is late or lost, and the motor's next answer may be the missing one or that to the next command.
+    A cycle without a command tells: what comes in it is late. So the motor gets no command in the
+    cycle after the first missing answer, and then one in each cycle, because meanwhile it holds an
+    old one; and once it has answered, none until the missing answer can no more be on its way: if
+    that was late, the next one is, too, and comes now. Where two come in a cycle, the last one
+    belongs to the command of that cycle, as adapters keep their order.
 
     Attributes:
         surplus: number (n,) of answers in this cycle that no command had requested.
         late: number (n,) of answers in this cycle, or since the last one, that do not answer a
             command of the cycle in which they came.
+        owed: number (n,) of answers that may still come.
     """
 
     def __init__(self, n: int) -> None:
-        # Whether the answer to the motor's last command has not come.
-        self._owes = np.zeros(n, bool)
-        # Number of cycles in a row without a command and without an answer.
-        self._silent = np.zeros(n, int)
-        # Whether the motor got a command in the present cycle.
-        self._commanded = np.zeros(n, bool)
-        # Whether the motor got a command in the cycle that is not over.
-        self._awaited = self._commanded
+        self.owed = np.zeros(n, int)
+        # Number of commands in a row to which no answer has come, and number of cycles since the
+        # last one of these.
+        self._unanswered, self._waited = np.zeros((2, n), int)
+        # Whether the motor got a command in the last cycle; whether in the cycle that is not over;
+        # and whether that has not been answered.
+        self._commanded, self._is_open, self._awaited = np.zeros((3, n), bool)
         self.surplus, self.late = np.zeros((2, n), int)
 
     def end_cycle(self) -> None:
         """End a cycle: its numbers become zero, and answers that come from now on are late."""
-        self.surplus, self.late = np.zeros((2, len(self._owes)), int)
-        self._awaited = np.zeros(len(self._owes), bool)
+        self.surplus, self.late = np.zeros((2, len(self.owed)), int)
+        self._unanswered += self._awaited
+        self._waited = np.where(self._awaited, 0, self._waited + 1)
+        self._is_open, self._awaited = np.zeros((2, len(self.owed)), bool)
 
     def may_be_commanded(self, motors: Mask) -> Mask:
         """Begin a cycle; count and return the motors (n,) that may get a command in it.
 
-        ``motors`` (n,) says which motors are to get a command. The result is a subset of these: the
-        motors that owe no answer, or have owed one for ``PAUSE`` cycles. The caller must not change
-        the returned array.
+        ``motors`` (n,) says which motors are to get a command. The result is a subset of these:
+        those of whose answers it is known that none is late. The caller must not change the
+        returned array.
         """
-        self._silent = np.where(self._commanded, 0, self._silent + 1)
-        self._owes &= self._silent < PAUSE
-        self._commanded = motors & ~self._owes
-        self._awaited = self._commanded
-        self._owes |= self._commanded
+        self.owed *= self._waited < PATIENCE
+        falls_silent = self._commanded & (self._unanswered == 1)
+        may_be_late = (self.owed > 0) & (self._unanswered == 0)
+        self._commanded = motors & ~falls_silent & ~may_be_late
+        self._is_open = self._commanded
+        self._awaited = self._commanded.copy()
+        self.owed += self._commanded
         return self._commanded
 
     def take_answer(self, j: int) -> bool:
-        """Count an answer of motor j; return whether it answers the command of this cycle.
+        """Count an answer of motor j; return whether it may answer the command of this cycle.
 
         An answer that no command awaits is counted in ``surplus``.
         """
-        is_timely = bool(self._awaited[j] and self._owes[j])
-        self.late[j] += not is_timely
-        self.surplus[j] += not self._owes[j]
-        self._owes[j] = False
-        self._silent[j] = 0
-        return is_timely
+        is_of_this_cycle = bool(self._is_open[j] and self.owed[j])
+        is_first = bool(self._awaited[j])
+        self.late[j] += not (is_of_this_cycle and is_first)
+        self.surplus[j] += not self.owed[j]
+        self.owed[j] = max(self.owed[j] - 1, 0)
+        self._unanswered[j] = 0
+        self._awaited[j] = False
+        return is_of_this_cycle
 
 
 class MotorSession:
@@ -185,6 +197,8 @@ class MotorSession:
         # Time up to which each joint's commands have moved it: that of the last command, minus
         # what this left unused [s].
         self._moved_until = np.full(self.n_joints, -np.inf)
+        # Time up to which each joint that missed commands is led back [s].
+        self._led_back_until = np.full(self.n_joints, -np.inf)
         # Data of each motor's last command, by joint.
         self._sent_data: dict[int, bytes] = {}
         self._filter = SampleFilter(self.limits.torque, self.steps[1])
@@ -335,19 +349,23 @@ class MotorSession:
         elapsed = np.minimum(now - self._moved_until, _LONGEST_GAP)
         q = self.position_now
         allowed = confine(command, self.limits, self.sent_position, elapsed, q)
-        if braking:
-            command = allowed
-        else:
-            require_allowed(self._labels, command, allowed, q, self.steps)
+        # A joint that missed commands lags behind: what its motor makes leads it back.
+        is_confined = braking | (now < self._led_back_until)
+        command = MitCommand(
+            *(np.where(is_confined, *pair) for pair in zip(allowed, command))
+        )
+        require_allowed(self._labels, command, allowed, q, self.steps)
         packed = encode_mit(self._mounting.command(command), self.scaling)
         commanded = joints if braking else self._outstanding.may_be_commanded(joints)
+        self._led_back_until[joints & ~commanded] = now + _LEADING_BACK
         # Replies are sampled before this command acts, while the last one is in force.
         acted = self._command
         self._put_in_force(packed, commanded, now)
         for j in np.flatnonzero(commanded).tolist():
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(CanFrame(self.joints[j].can_id, self._sent_data[j]))
-        time, feedback = self._receive(commanded, until)
+        awaited = np.where(braking, 1, self._outstanding.owed)
+        time, feedback = self._receive(commanded, until, awaited)
         came = feedback.status != NO_STATUS
         believed, followed, jump = self._filter.believe(came, time, feedback, acted)
         return Replies(
@@ -418,22 +436,28 @@ class MotorSession:
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 
-    def _receive(self, motors: Mask, until: float) -> tuple[Array, Feedback]:
+    def _receive(
+        self, motors: Mask, until: float, awaited: Codes | int = 1
+    ) -> tuple[Array, Feedback]:
         """Wait for the answers of motors, at most until a time in the clock [s].
 
         Returns the time (n,) of each joint's sample [s], and the feedback in joint space, fields
-        (n,); where no answer came they are NaN and ``NO_STATUS``. ``motors`` (n,) says whose
-        answers are waited for.
+        (n,); where no answer came they are NaN and ``NO_STATUS``.
+
+        Args:
+            motors: (n,) whose answers are waited for.
+            until: when waiting ends [s].
+            awaited: (n,) how many answers each of them may send; the last one counts.
         """
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         # Time (n,) at which each command was on the bus, and at which each answer came [s].
         sent, received = np.full((2, self.n_joints), np.nan)
-        missing = np.count_nonzero(motors)
-        while missing and (frame := self._link.receive(until)) is not None:
+        missing = int(np.sum(motors * awaited))
+        while missing > 0 and (frame := self._link.receive(until)) is not None:
             if frame.echo and frame.id in self._by_command:
                 sent[self._by_command[frame.id]] = frame.time
             j = self._answering_joint(frame)
-            if j is not None and motors[j] and np.isnan(received[j]):
+            if j is not None and motors[j]:
                 raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
                 received[j] = frame.time
                 missing -= 1

@@ -84,8 +84,15 @@ class PlaySettings(OptionRecord):
         start_tolerance: how far a joint may be from the first point [rad].
         max_speed_error: how much a joint may be faster or slower than commanded [rad/s].
         max_temperature: of power stage and winding [degC].
-        max_missed: number of unanswered commands in a row that stop the run; three cycles are a
-            third of the shortest watchdog that is allowed.
+        max_missed: number of unanswered commands in a row that stop the run. With the pause after
+            the first one they take six cycles, no more than half of the shortest watchdog that is
+            allowed; and where two of a hundred frames are lost by chance, as by poor adapters, five
+            in a row are lost once in 300 million commands.
+        max_lost: number of unanswered commands among about a hundred that stop the run: by chance
+            never so many are lost of those five; with more, an adapter that answers too late again
+            and again would play to the end.
+        max_doubted: number of answers in a row that cannot be true, which stop the run: single
+            damaged frames pass.
         max_lateness: largest delay of a control cycle [s]: far more than a busy computer's pauses
             (99 % are shorter than 1.3 ms), far less than a watchdog's time.
         ramp_time: time in which the gains are raised [s]; short, because the arm sinks meanwhile
@@ -145,7 +152,9 @@ class PlaySettings(OptionRecord):
     start_tolerance: float = 0.5
     max_speed_error: float = 1.0
     max_temperature: float = 80.0
-    max_missed: int = 3
+    max_missed: int = 5
+    max_lost: float = 15.0
+    max_doubted: int = 3
     max_lateness: float = 0.02
     ramp_time: float = 0.3
     approach_time: float = 1.0

@@ -332,7 +332,7 @@ def test_a_motor_that_starts_again_more_slowly_is_named_after_the_stop(rig):
     run = rig(**USUAL)
     run.during("playing", 0.25, restart_motor(1, 0.05, to_zero)).run(settle=0.0)
     silent, since = str(run.error).split("; it has answered since then: ")
-    assert silent == "motor 2 did not answer in time for 6 cycles"
+    assert silent == "motor 2 did not answer in time to 5 commands in a row"
     assert since.startswith("motor 2 was switched off, or started again: it reports st")
 
 

@@ -14,7 +14,11 @@ import numpy as np
 
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao.bus import GuardedLink, InspectedMotor, Inspection, inspect_bus
-from robot_sysid.damiao.checks.preflight import require_playable
+from robot_sysid.damiao.checks.preflight import (
+    LOOK_AT_BUS,
+    NOTED_LOSS,
+    require_playable,
+)
 from robot_sysid.damiao.execution import (
     COMPUTER,
     RUN_OPTIONS,
@@ -206,7 +210,12 @@ def run_health(report: PlayReport, joints: Sequence[DamiaoJoint]) -> list[str]:
             f"{status_text(code)} ({n} times)" for code, n in sorted(reports.items())
         )
         rows.append([joint.label, *map(str, numbers), status or "-"])
-    return [*_table(rows), _ERROR_FRAMES.format(report.error_frames)]
+    lines = [*_table(rows), _ERROR_FRAMES.format(report.error_frames)]
+    if report.lost_share >= NOTED_LOSS:
+        lines.append(
+            f"{100.0 * report.lost_share:.1f} % of the commands were not answered; {LOOK_AT_BUS}"
+        )
+    return lines
 
 
 def _table(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -23,7 +23,7 @@ from robot_sysid.damiao.joints import (
     peak_torques,
 )
 from robot_sysid.damiao.safety.holding import HoldingTorque
-from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
+from robot_sysid.damiao.session import REPLY_SHARE
 from robot_sysid.damiao.settings import OVERSHOOT, Plan, joint_positions
 from robot_sysid.damiao.trajectory import ROUNDING, DamiaoTrajectory
 from robot_sysid.damiao.weight_file import weight_path
@@ -42,11 +42,24 @@ speed, so that the hold before and after it makes no step that a motor feels."""
 WARMEST_START = 60.0
 """Temperature above which a motor does not start a run [degC]: half way from a warm room to the
 limit during one, so that no motor reaches that in the run (a judgement)."""
+LEAST_WATCHDOG_CYCLES = 10.0
+"""Least timeout of a watchdog in control cycles: a motor that answers nothing is found after six,
+and has to be driven while the others come to rest."""
 LONGEST_WATCHDOG = 5.0
 """Timeout above which a watchdog is no protection at all [s] (a judgement)."""
 LONG_WATCHDOG = 0.5
 """Timeout above which a watchdog is noted as long [s]: within it an arm that nobody commands falls
 or runs far."""
+NOTED_LOSS = 0.005
+"""Share of commands without an answer from which on it is said (a judgement): a sound bus, which
+repeats damaged frames by itself, loses none."""
+LOOK_AT_BUS = (
+    "a sound bus loses none: look at plugs, termination, supply and the adapter"
+)
+"""What to do about commands without an answer."""
+MOST_LOST = 0.1
+"""Share of requests without an answer from which on nothing is played: five commands in a row are
+then lost by chance within a minute of seven motors at 250 Hz, and stop the run."""
 USUAL_WATCHDOG = 0.1
 """Least timeout that is proposed [s]: the one that docs/damiao.md recommends."""
 
@@ -267,6 +280,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
                 "not tell: end that program and power-cycle the motor, or take it off the bus"
             )
 
+    yield from loss_checks([motors[i] for i in driven if i in motors])
     # Time from the commands to the last answer [s].
     round_trip = inspection.round_trip
     if round_trip > REPLY_SHARE * settings.period:
@@ -296,6 +310,20 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
                 f"more than {tolerance:g} away; move it by hand (a whole turn: it lost its turn "
                 "count)"
             )
+
+
+def loss_checks(motors: Sequence[InspectedMotor]) -> Iterator[Remark]:
+    """Yield a finding where some of the requests to motors were not answered."""
+    seconds = np.concatenate([motor.answer_times for motor in motors] or [[]])
+    if not seconds.size:
+        return
+    lost = np.isnan(seconds)
+    share = float(np.mean(lost))
+    text = f"{np.count_nonzero(lost)} of {lost.size} requests were not answered; {LOOK_AT_BUS}"
+    if share > MOST_LOST:
+        yield stop(f"{text}, then check again; with so many a run is stopped by chance")
+    elif share >= NOTED_LOSS:
+        yield note(text)
 
 
 def motor_checks(
@@ -379,9 +407,7 @@ def watchdog_checks(
         timeout: of the watchdog [s].
         period: length of a control cycle [s].
     """
-    # A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one.
-    # The watchdog has to outlast two such waits in succession.
-    least = 2 * (PAUSE + 1) * period
+    least = LEAST_WATCHDOG_CYCLES * period
     # In tenths of a second.
     proposed = max(USUAL_WATCHDOG, np.ceil(10.0 * least) / 10.0)
     remedy = f"set it with motors setup --motor {joint.can_id} --watchdog {proposed:g} --store"

@@ -13,14 +13,13 @@ from robot_sysid.damiao.safety.plausibility import NO_STATUS, Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 
-# What single damaged frames do not explain: missing answers, answers and commands too many, each
-# counted with a decay.
+# What single damaged frames do not explain: answers and commands too many, counted with a decay.
 _FEW = 2.5
 _DECAY = 0.95
-"""Share of such a count that is left after a cycle. One answer missing in ten cycles then counts as
-2.49 for good, just not enough, three in a row count as 2.85, and one in five cycles as 4.4: with
-more, single damaged frames would add up, with less, an adapter that answers too late again and
-again would play to the end."""
+"""Share of such a count that is left after a cycle: with more, damaged frames would add up."""
+_LOST_DECAY = 0.99
+"""The same of commands without an answer: it is a count of about a hundred cycles."""
+_DECAYS = np.array([_LOST_DECAY, _DECAY, _DECAY])
 CONFIRMED = 2
 """Number of equal reports of a status that are the motor's own: one may be a damaged frame."""
 # What is said of a motor that reports that it is disabled.
@@ -35,7 +34,7 @@ class BusHealth:
         settings: settings of the run.
 
     Attributes:
-        silent: (n,) number of cycles in a row without a believed answer.
+        silent: (n,) number of commands in a row without a believed answer.
         unheard: (n,) the same without one that carries the believed position on, either.
         commanded: (n,) number of all commands and requests.
         total_missed: (n,) number of those without a believed answer.
@@ -72,13 +71,14 @@ class BusHealth:
         """
         self._count_reports(replies)
         unanswered = replies.requested & ~replies.answered
-        counts = [self.silent + 1, self._doubted + replies.doubted]
+        counts = [self.silent + unanswered, self._doubted + replies.doubted]
         self.silent, self._doubted = np.where(replies.answered, 0, counts)
         is_heard = replies.answered | replies.followed
         self.unheard = np.where(is_heard, 0, self.unheard + 1)
         self.total_missed += unanswered
-        events = np.array([unanswered, replies.surplus, replies.foreign])
-        self._counts = _DECAY * self._counts + events
+        untimely = unanswered + replies.late
+        events = np.array([untimely, replies.surplus, replies.foreign])
+        self._counts = _DECAYS[:, None] * self._counts + events
         status = replies.feedback.status
         is_faulty = (status != ENABLED) & (status != NO_STATUS)
         is_faulty |= self._is_confirmed
@@ -114,15 +114,14 @@ class BusHealth:
         feedback = replies.feedback
         hot = feedback.temperature
         lost, surplus, foreign = self._counts
-        # A motor whose answer is missing is sent nothing for four cycles, see ``session.PAUSE``, so
-        # commands alone would count too slowly.
-        is_silent = self.silent >= 2 * settings.max_missed
-        is_lost = lost > settings.max_missed - 0.5
-        is_doubted = (is_silent | is_lost) & (self._doubted >= settings.max_missed)
+        is_silent = self.silent >= settings.max_missed
+        is_lost = lost > settings.max_lost
+        is_doubted = self._doubted >= settings.max_doubted
         # A motor that started again is silent, and says then that it is disabled, perhaps with
         # another position: what it said is the reason for the silence.
         says_why = (self._idle > 0) & (self._idle >= self._doubted)
-        is_idle = self._is_confirmed | ((is_silent | is_lost) & says_why)
+        is_amiss = is_silent | is_lost | is_doubted | (replies.jump != 0.0)
+        is_idle = self._is_confirmed | (is_amiss & says_why)
         is_idle |= replies.answered & (feedback.status != ENABLED)
         is_off = self._status == DISABLED
         self._fell_silent = (is_silent | is_lost) & ~is_idle
@@ -143,7 +142,7 @@ class BusHealth:
                 "answered {doubted} times in a row what cannot be true: its line is disturbed, its "
                 "encoder is not sound, or another motor has its id",
             ),
-            (is_silent, "did not answer in time for {silent} cycles"),
+            (is_silent, "did not answer in time to {silent} commands in a row"),
             (is_lost, "did not answer in time again and again"),
             (
                 replies.answered & (hot > settings.max_temperature),

@@ -230,7 +230,7 @@ class Watch:
     @property
     def trusted_joints(self) -> Mask:
         """Joints (n,) that answer, and whose position may be used to control them."""
-        return ~self._stale & (self.health.unheard < self._settings.max_missed)
+        return ~self._stale & (self.health.unheard < self._settings.max_doubted)
 
     @property
     def fed_torque(self) -> Array:

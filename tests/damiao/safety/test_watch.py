@@ -19,6 +19,7 @@ from rigs.motors.watched_samples import (
     CYCLE,
     KD,
     KP,
+    LENIENT,
     complete_settings,
     cycle,
     reference_of,
@@ -38,7 +39,7 @@ from robot_sysid.errors import HardwareAbort
 @given(st.lists(st.sampled_from([ENABLED, DISABLED, 3, 0xA]), max_size=40))
 def test_a_status_that_an_answer_repeats_stops_the_run_and_each_one_is_counted(codes):
     """Whether the answers are believed or not."""
-    watched = watch(max_missed=50)
+    watched = watch(**LENIENT)
     pairs = [k for k in range(1, len(codes)) if codes[k] == codes[k - 1] != ENABLED]
     first = min(pairs, default=None)
     for k, code in enumerate(codes):
@@ -81,7 +82,7 @@ def test_a_position_that_drifts_in_spite_of_its_velocity_is_found_in_time(rate):
     """Before it is 0.15 rad off; its joint moves to and fro ten times as fast."""
     cycles = [*swing(seconds=6.0, slip=rate)]
     within = round(0.15 / abs(rate) / CYCLE)
-    assert words_of(cycles[:within], max_missed=50) is not None
+    assert words_of(cycles[:within], **LENIENT) is not None
 
 
 def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
