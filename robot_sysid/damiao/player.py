@@ -177,7 +177,7 @@ class PlayReport:
     @property
     def lost_share(self) -> float:
         """Share of all commands to which no answer came at all."""
-        return float(np.sum(self.n_lost) / max(np.sum(self.commands), 1))
+        return float(np.sum(self.n_lost)) / max(float(np.sum(self.commands)), 1.0)
 
     @property
     def is_flawless(self) -> bool:

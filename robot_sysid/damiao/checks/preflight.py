@@ -314,7 +314,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
 
 def loss_checks(motors: Sequence[InspectedMotor]) -> Iterator[Remark]:
     """Yield a finding where some of the requests to motors were not answered."""
-    seconds = np.concatenate([motor.answer_times for motor in motors] or [[]])
+    seconds = np.array([time for motor in motors for time in motor.answer_times])
     if not seconds.size:
         return
     lost = np.isnan(seconds)
