@@ -97,6 +97,11 @@ def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
     return np.array([joint.spec.peak_torque for joint in joints])
 
 
+def no_load_speeds(joints: Sequence[DamiaoJoint]) -> Array:
+    """Return how fast joints (n,) turn without load [rad/s]; infinite where unknown."""
+    return RPM * np.array([joint.spec.no_load_rpm or np.inf for joint in joints])
+
+
 def matching_types(limits: Sequence[float]) -> tuple[str, ...]:
     """Return the names of all motor types whose factory limits agree with given limits.
 

@@ -33,7 +33,8 @@ from robot_sysid.damiao.references import (
 )
 from robot_sysid.damiao.safety.health import CONFIRMED
 from robot_sysid.damiao.safety.holding import HoldingTorque
-from robot_sysid.damiao.safety.plausibility import Replies
+from robot_sysid.damiao.safety.plausibility import Mask, Replies
+from robot_sysid.damiao.safety.reversal import Reversal
 from robot_sysid.damiao.safety.stopping import LONGEST_LOWERING, CarriedStop, Lowering
 from robot_sysid.damiao.safety.watch import PLAYING, Phase, Watch
 from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
@@ -238,6 +239,11 @@ class Player:
         self._origin: float
         # Time of the last answer in the clock [s].
         self._heard_at = 0.0
+        self._reversal = Reversal(session.joints)
+        # Motors (n,) that were switched off because they turned against their command.
+        self._turned = np.zeros(session.n_joints, bool)
+        # Torque (n,) that the reference needed before a stop [N m].
+        self._needed = np.zeros(session.n_joints)
         self._n_recorded = 0
         self._first_error_frame = session.error_frames
 
@@ -252,7 +258,7 @@ class Player:
                 self._run_phases(activity)
             except BaseException as error:
                 self._stop_gently()
-                since = self._watch.health.reason_of_silence()
+                since = self._watch.health.reason_of_silence() + self._reversed_motors
                 if isinstance(error, HardwareAbort) and not since:
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
@@ -416,6 +422,16 @@ class Player:
         self._command = replies.command
         q, qd = self._session.believed_motion
         motor_torque = acted.motor_torque(q, qd)
+        if not braking:
+            self._needed = torque + self._watch.usually_added
+        trusted_q, trusted_qd = self._trusted_motion
+        self._reversal.add(
+            self._clock.now(),
+            trusted_q - acted.position,
+            trusted_qd - acted.velocity,
+            motor_torque,
+            self._needed,
+        )
         self._follower.follow(*self._trusted_motion, motor_torque)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
@@ -423,9 +439,14 @@ class Player:
 
     @property
     def _trusted_motion(self) -> tuple[Array, Array]:
-        """Believed positions and velocities (n,) [rad, rad/s]; NaN where they are not trusted."""
+        """Believed positions and velocities (n,) [rad, rad/s] of joints that can be controlled.
+
+        They are NaN where they are not trusted, or the run has switched the motor off.
+        """
         motion = self._session.believed_motion
-        q, qd = np.where(self._watch.trusted_joints, motion, np.nan)
+        watch = self._watch
+        is_known = watch.trusted_joints & ~watch.to_switch_off
+        q, qd = np.where(is_known, motion, np.nan)
         return q, qd
 
     def _stop_gently(self) -> None:
@@ -443,12 +464,38 @@ class Player:
         # Drivers may raise SystemExit and KeyboardInterrupt too; the user's requests come by
         # ``self._stop``.
         with contextlib.suppress(BaseException):
-            self._session.switch_off(self._watch.to_switch_off)
-            self._watch.failed |= self._watch.to_switch_off
+            self._switch_off(self._watch.to_switch_off)
+            self._switch_off_reversed()
             carried = self._carry_from(self._reference)
             self._stop_phase(carried, LONGEST_STOP)
             if self._settings.park is not None and not self._stop.insisted:
                 self._stop_phase(self._lower_from(carried.last), LONGEST_LOWERING)
+
+    @property
+    def _reversed_motors(self) -> str:
+        """The end of a message that names the motors which turned against their commands."""
+        labels = [self._session.joints[j].label for j in np.flatnonzero(self._turned)]
+        if not labels:
+            return ""
+        return (
+            f"; {', '.join(labels)} turned against its commands, as with the other sign of torque "
+            "or position, and was switched off at once"
+        )
+
+    def _switch_off(self, joints: Mask) -> None:
+        """Disable the motors of joints (n,), which get no command any more."""
+        self._session.switch_off(joints)
+        self._watch.to_switch_off |= joints
+        self._watch.failed |= joints
+
+    def _switch_off_reversed(self) -> None:
+        """Disable the motor that turns against its command, if one does."""
+        q, _ = self._session.believed_motion
+        reversed_motor = self._reversal.search(self._holding.inertia(q))
+        if np.any(reversed_motor):
+            self._switch_off(reversed_motor)
+            self._turned |= reversed_motor
+            self._reversal.restart(self._clock.now())
 
     def _carry_from(self, reference: Reference) -> CarriedStop:
         """Return the reference that stops the arm, from the last reference and the believed state.
@@ -511,6 +558,7 @@ class Player:
             with contextlib.suppress(BaseException):
                 target = reference(deadline - origin)
                 replies, acted = self._exchange(target, braking=True)
+                self._switch_off_reversed()
                 if self._recorder:
                     time = self._clock.now() - self._origin
                     self._recorder.write(

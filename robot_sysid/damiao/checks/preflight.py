@@ -15,11 +15,11 @@ from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.checks.findings import note, stop
 from robot_sysid.damiao.checks.motion import motion_checks
 from robot_sysid.damiao.joints import (
-    RPM,
     DamiaoJoint,
     Mounting,
     id_problems,
     limits_agree,
+    no_load_speeds,
     peak_torques,
 )
 from robot_sysid.damiao.safety.holding import HoldingTorque
@@ -96,8 +96,7 @@ class StatedLimits(NamedTuple):
 
 def motor_ratings(joints: Sequence[DamiaoJoint]) -> tuple[StatedLimits, StatedLimits]:
     """Return what the motors of n joints can do at most, and what they can do for long."""
-    no_load = RPM * np.array([joint.spec.no_load_rpm or np.inf for joint in joints])
-    most = Limits(velocity=no_load, torque=peak_torques(joints))
+    most = Limits(velocity=no_load_speeds(joints), torque=peak_torques(joints))
     rated = Limits(torque=np.array([joint.spec.rated_torque for joint in joints]))
     smaller = "it cannot follow: plan a smaller or slower motion"
     heat = "it gets too hot if that lasts"

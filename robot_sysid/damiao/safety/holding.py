@@ -57,6 +57,7 @@ class HoldingTorque:
         robot: model of the arm; None without one.
         slope: by how much each joint's weight grows as it sinks (n,) [N m/rad]; None where it is
             not known.
+        inertia: returns that of each joint with those behind it (n,) [kg m^2] in a pose (n,).
     """
 
     joints: Sequence[DamiaoJoint]
@@ -66,6 +67,7 @@ class HoldingTorque:
     carries_arm: bool = True
     robot: RobotModel | None = None
     slope: Array | None = None
+    inertia: Callable[[Array], Array] = np.zeros_like
 
     @property
     def is_model(self) -> bool:
@@ -158,8 +160,16 @@ def gravity_holding(
         zero = np.zeros((1, len(q)))
         return arm(Motion(np.zeros(1), q[None], zero, zero))[0]
 
+    def inertia(q: Array) -> Array:
+        """Return the inertia of each joint with those behind it (n,) in a pose q (n,) [kg m^2]."""
+        n = len(q)
+        still = np.zeros((n, n))
+        poses = np.tile(q, (n, 1))
+        torque = arm(Motion(np.arange(float(n)), poses, still, np.eye(n)))
+        return np.diag(torque) - holding_torque(q)
+
     doubt = torque_doubt(joints) + robot.friction.largest_dry
-    return HoldingTorque(joints, holding_torque, doubt, robot=robot)
+    return HoldingTorque(joints, holding_torque, doubt, robot=robot, inertia=inertia)
 
 
 def weight_errors(robot: RobotModel, q: Array) -> Array:
@@ -194,6 +204,7 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingTorque:
     doubt = torque_doubt(trajectory.joints)
     # Slower, a torque is that at rest: 1 N m at 2 kg m^2.
     is_at_rest = acceleration[row] < 0.5
+    inertia = mean_inertia(trajectory)
     return HoldingTorque(
         trajectory.joints,
         lambda q: torque,
@@ -201,4 +212,19 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingTorque:
         pose=q[0] if is_at_rest else np.full_like(q[0], np.nan),
         carries_arm=bool(np.any(np.abs(trajectory.tau) > doubt)),
         slope=trajectory.weight_slope,
+        inertia=lambda q: inertia,
     )
+
+
+def mean_inertia(trajectory: DamiaoTrajectory) -> Array:
+    """Return the inertia of each joint (n,) that the torques of a trajectory show [kg m^2].
+
+    It is the slope of a joint's torque without its weight over its own acceleration: the other
+    joints' accelerations go by turns with it and against it. 0 where the weight is not known.
+    """
+    if trajectory.weight is None:
+        return np.zeros(trajectory.n_joints)
+    qdd = trajectory.qdd
+    cross = np.sum(qdd * (trajectory.tau - trajectory.weight), axis=0)
+    size = np.sum(qdd**2, axis=0)
+    return np.maximum(cross, 0.0) / np.where(size > 0.0, size, 1.0)

@@ -215,7 +215,8 @@ class SampleFilter:
         is_jump = is_elsewhere & ~doubts.bends & (repeated | is_obvious)
         jump = np.where(is_jump, np.nan_to_num(q - self.last.q), 0.0)
 
-        followed = came & ~believed & ~doubts.accelerates
+        # A blow that is too hard to be believed is one where the next sample has that speed, too.
+        followed = came & ~believed & (repeated | ~doubts.accelerates)
         carried = self.last._replace(time=time, q=reckoned, qd=qd)
         self._is_suspected = np.where(came, ~believed, self._is_suspected)
         self._suspect = now.where(came, self._suspect)

@@ -233,6 +233,11 @@ class Watch:
         return ~self._stale & (self.health.unheard < self._settings.max_doubted)
 
     @property
+    def usually_added(self) -> Array:
+        """Torque that the control has added to the fed one in the last second (n,) [N m]."""
+        return self._long[7]
+
+    @property
     def fed_torque(self) -> Array:
         """Mean feed-forward torque of the last moments (n,) [N m]."""
         return self._short[6]
@@ -485,7 +490,7 @@ class Watch:
         self._repeats = np.where(begins, 0, self._repeats + is_same)
         led_by, turned_by = np.abs(command - self._repeats_since)
         is_led = led_by > _LED_STEPS * self._position_step
-        is_led &= self._repeats >= _LEAST_REPEATS
+        is_led &= (self._repeats >= _LEAST_REPEATS) & replies.answered
         follows = np.abs(commanded - feedback.torque) < _FOLLOWS_SHARE * self._peak
         # A joint that turns round stands still while friction, and its fed torque, reverse.
         is_frozen = is_led & follows & (led_by > _TURNING_WAY)
