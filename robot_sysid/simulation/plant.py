@@ -276,26 +276,26 @@ class ArmStepper:
         end_response, mean_response = _velocity_responses(h * mobility, resistance)
 
         load = torque - bias - resistance * self.qd
-        free_velocity = self.qd + end_response @ load
+        free_velocity = self.qd + end_response.dot(load)
         free_q = self.q + h * free_velocity
         # Direction of the torque of a stop that a joint would pass without dry friction.
         inwards = (free_q < self._stops.lower) - 1.0 * (free_q > self._stops.upper)
         velocity, friction = self._resolve_dry_friction(
             free_velocity, end_response, inwards
         )
-        mean_velocity = self.qd + mean_response @ (load - friction)
+        mean_velocity = self.qd + mean_response.dot(load - friction)
         # A joint that comes to rest loses its velocity evenly.
         mean_velocity = np.where(velocity == 0.0, 0.5 * self.qd, mean_velocity)
 
         self._last_change = velocity - self.qd
         self.q = self.q + h * mean_velocity
         self.qd = velocity
-        if inwards.any():
+        if np.count_nonzero(inwards):
             # A blow says nothing of the next step.
             self._last_change = np.zeros(self.n_joints)
             self.q = np.clip(self.q, self._stops.lower, self._stops.upper)
         # What is not finite stays so in a sum.
-        if not math.isfinite(self.q @ self.q):
+        if not math.isfinite(self.q.dot(self.q)):
             raise SimulationError(
                 "the simulated arm diverged; lower the gains or the torques"
             )
@@ -324,7 +324,7 @@ class ArmStepper:
         if self._has_passive_actuators:
             mujoco.mj_fwdActuation(model, data)
             bias -= data.qfrc_actuator[dofs]
-        return self._accelerations[:, dofs], bias
+        return self._accelerations.take(dofs, axis=1), bias
 
     def _resolve_dry_friction(
         self, free_velocity: Array, response: Array, inwards: Array
@@ -347,35 +347,37 @@ class ArmStepper:
         stop[: self.n_joints] = inwards
         is_at_stop = stop != 0.0
         can_stick = is_at_stop | (coulomb > 0.0)
-        joint_response = response @ axes.T
-        axis_response = axes @ joint_response
-        free_speed = axes @ free_velocity
+        joint_response = response.dot(axes.T)
+        axis_response = axes.dot(joint_response)
+        free_speed = axes.dot(free_velocity)
         # Sign of the motion along each direction, in which friction takes energy.
-        direction = np.sign(axes @ self.qd)
+        direction = np.sign(axes.dot(self.qd))
         sticks = is_at_stop | (can_stick & (direction == 0.0))
         most_held = coulomb * (1.0 + 1e-9)
         # Directions stick or slide until the friction of all of them agrees with their motion; the
         # number of rounds is limited in case they never do.
         for _ in range(2 * len(coulomb) + 1):
             friction = np.where(sticks, 0.0, coulomb * direction)
-            speed = free_speed - axis_response @ friction
-            if sticks.any():
-                held = axis_response[sticks]
-                friction[sticks] = self._hold(held[:, sticks], speed[sticks])
-                speed = np.where(sticks, 0.0, speed - friction[sticks] @ held)
+            speed = free_speed - axis_response.dot(friction)
+            if np.count_nonzero(sticks):
+                held = axis_response[:, sticks]
+                holding = self._hold(held[sticks], speed[sticks])
+                friction[sticks] = holding
+                speed -= held.dot(holding)
+                speed[sticks] = 0.0
             # One that sticks has no speed.
             reverses = can_stick & (speed * direction < 0.0)
             # Friction has the opposite sign, so that the stop pushes.
             breaks_loose = sticks & (np.abs(friction) > most_held)
             breaks_loose &= stop * friction >= 0.0
             changes = reverses | breaks_loose
-            if not changes.any():
+            if not np.count_nonzero(changes):
                 break
             direction = np.where(breaks_loose, np.sign(friction), direction)
             sticks = sticks ^ changes
-        joint_velocity = free_velocity - joint_response @ friction
+        joint_velocity = free_velocity - joint_response.dot(friction)
         joint_sticks = sticks[: self.n_joints]
-        return np.where(joint_sticks, 0.0, joint_velocity), axes.T @ friction
+        return np.where(joint_sticks, 0.0, joint_velocity), friction.dot(axes)
 
     def _hold(self, response: Array, speed: Array) -> Array:
         """Return the friction (s,) that stops s directions with a ``speed`` (s,).
@@ -409,7 +411,7 @@ def _velocity_responses(
     implicit = np.eye(len(resistance)) + undamped * (_STAGE * resistance)
     stage = np.linalg.solve(implicit, undamped)
     # The second stage is stage - _STAGE damped, and both responses are sums of the two stages.
-    damped = (stage * resistance) @ stage
+    damped = (stage * resistance).dot(stage)
     end_response = stage - _STAGE * (1.0 - _STAGE) * damped
     mean_response = 0.5 * stage - _STAGE * (0.5 - _STAGE) * damped
     return end_response, mean_response
