@@ -385,18 +385,18 @@ class ArmStepper:
         ``response`` (s, s) is how much slower their friction makes them.
         """
         if len(self.coulomb) == self.n_joints:
-            return np.linalg.solve(response, speed)
-        # Singular where a motor and all joints that it turns stick together.
-        return np.linalg.lstsq(response, speed, rcond=None)[0]
+            friction: Array = np.linalg.solve(response, speed)
+        else:
+            # Singular where a motor and all joints that it turns stick together.
+            friction = np.linalg.lstsq(response, speed, rcond=None)[0]
+        return friction
 
 
 # Implicit share of each stage that makes the two-stage method below of second order, L-stable.
 _STAGE = 1.0 - math.sqrt(0.5)
 
 
-def _velocity_responses(
-    undamped: Array, resistance: Array
-) -> tuple[Array, Array]:
+def _velocity_responses(undamped: Array, resistance: Array) -> tuple[Array, Array]:
     """Return how a constant torque changes velocities in a damped step.
 
     Args:
