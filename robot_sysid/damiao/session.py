@@ -68,6 +68,8 @@ by ``PlaySettings.max_lateness``."""
 _SAME_POSITION = 0.02
 """By how much two answers of an arm that is not driven yet may disagree about its position [rad]:
 it stands, or sinks slowly, and a damaged answer is off by more."""
+_NO_DATA = bytes(8)
+"""What stands for the data of a motor's answer that has not come."""
 _DISABLE_PATIENCE = 0.5
 """How long motors are told again to disable until they have confirmed it [s]: a bus that fails may
 work again by then."""
@@ -344,7 +346,7 @@ class MotorSession:
         # Replies are sampled before this command acts, while the last one is in force.
         acted = self._command
         self._put_in_force(packed, commanded, now)
-        for j in np.flatnonzero(commanded).tolist():
+        for j in commanded.nonzero()[0].tolist():
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(CanFrame(self.joints[j].can_id, self._sent_data[j]))
         time, feedback = self._receive(commanded, until)
@@ -382,7 +384,7 @@ class MotorSession:
         )
         moved = np.abs(new.position - self.sent_position)
         used = moved / self.limits.velocity
-        moved_until = np.clip(self._moved_until + used, now - _LATEST_MOVE, now)
+        moved_until = (self._moved_until + used).clip(now - _LATEST_MOVE, now)
         self._moved_until = np.where(commanded, moved_until, self._moved_until)
         self.sent_position = np.where(commanded, new.position, self.sent_position)
 
@@ -425,22 +427,26 @@ class MotorSession:
         (n,); where no answer came they are NaN and ``NO_STATUS``. ``motors`` (n,) says whose
         answers are waited for.
         """
-        raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
-        # Time (n,) at which each command was on the bus, and at which each answer came [s].
-        sent, received = np.full((2, self.n_joints), np.nan)
-        missing = np.count_nonzero(motors)
+        data = [_NO_DATA] * self.n_joints
+        # Time at which each command was on the bus, and at which each answer came [s].
+        sent, received = ([np.nan] * self.n_joints for _ in range(2))
+        waits = motors.tolist()
+        missing = sum(waits)
         while missing and (frame := self._link.receive(until)) is not None:
-            if frame.echo and frame.id in self._by_command:
-                sent[self._by_command[frame.id]] = frame.time
+            if frame.echo:
+                if frame.id in self._by_command:
+                    sent[self._by_command[frame.id]] = frame.time
+                continue
             j = self._answering_joint(frame)
-            if j is not None and motors[j] and np.isnan(received[j]):
-                raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
+            if j is not None and waits[j]:
+                data[j] = frame.data
                 received[j] = frame.time
+                waits[j] = False
                 missing -= 1
+        raw = np.frombuffer(b"".join(data), dtype=np.uint8).reshape(-1, 8)
         decoded = decode_feedback(raw, self.scaling)
-        q, qd, tau = self._mounting.inverse.signals(
-            decoded.position, decoded.velocity, decoded.torque
-        )
+        motion = decoded.position, decoded.velocity, decoded.torque
+        q, qd, tau = self._mounting.inverse.signals(*motion)
         feedback = replace(decoded, position=q, velocity=qd, torque=tau)
         came = np.isfinite(received)
         time = np.where(came & np.isfinite(sent), sent, received)
@@ -468,6 +474,8 @@ class MotorSession:
 
 def _feedback_of(joints: Mask, feedback: Feedback) -> Feedback:
     """Return the feedback of some joints (n,); of the others it is ``NO_STATUS`` and NaN."""
+    if joints.all():
+        return feedback
     measured = feedback.position, feedback.velocity, feedback.torque
     q, qd, tau = np.where(joints, measured, np.nan)
     status = np.where(joints, feedback.status, NO_STATUS)
