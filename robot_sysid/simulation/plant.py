@@ -384,11 +384,12 @@ class ArmStepper:
 
         ``response`` (s, s) is how much slower their friction makes them.
         """
+        friction = np.empty_like(speed)
         if len(self.coulomb) == self.n_joints:
-            friction: Array = np.linalg.solve(response, speed)
+            friction[:] = np.linalg.solve(response, speed)
         else:
             # Singular where a motor and all joints that it turns stick together.
-            friction = np.linalg.lstsq(response, speed, rcond=None)[0]
+            friction[:] = np.linalg.lstsq(response, speed, rcond=None)[0]
         return friction
 
 
