@@ -208,6 +208,8 @@ class Player:
             session.joints, settings, session.steps, session.limits.torque, holding
         )
         self._timer: CycleTimer
+        self._kp = np.array(settings.kp)
+        self._kd = np.array(settings.kd)
         # Factor, from 0 to 1, of stiffness and feed-forward torque.
         self._gain = 0.0
         self._phase = Phase(stands=True, settles=True)
@@ -380,8 +382,8 @@ class Player:
         rise = 1.0 / n_steps if n_steps > LEAST_RISE_STEPS else 1.0
         self._gain = min(self._gain + rise, 1.0)
         position, velocity, torque, *_ = reference
-        kp = self._gain * np.array(self._settings.kp) * self._follower.stiffness
-        kd = self._follower.damping * np.array(self._settings.kd)
+        kp = self._gain * self._kp * self._follower.stiffness
+        kd = self._follower.damping * self._kd
         # Motors with stiffness alone oscillate.
         kd = np.maximum(kd, KD_STEP * (kp > 0.0))
         command = MitCommand(position, velocity, kp, kd, self._gain * torque)
@@ -398,16 +400,16 @@ class Player:
         q, qd = self._session.believed_motion
         motor_torque = acted.motor_torque(q, qd)
         self._follower.follow(*self._trusted_motion, motor_torque)
-        if np.any(replies.answered):
+        if replies.answered.any():
             self._heard_at = self._clock.now()
         return replies, acted
 
     @property
     def _trusted_motion(self) -> tuple[Array, Array]:
         """Believed positions and velocities (n,) [rad, rad/s]; NaN where they are not trusted."""
-        motion = self._session.believed_motion
-        q, qd = np.where(self._watch.trusted_joints, motion, np.nan)
-        return q, qd
+        q, qd = self._session.believed_motion
+        trusted = self._watch.trusted_joints
+        return np.where(trusted, q, np.nan), np.where(trusted, qd, np.nan)
 
     def _stop_gently(self) -> None:
         """Brake the motors that still answer, and hold the arm until it is at rest.
