@@ -107,8 +107,10 @@ class SimulatedMotor:
 
     def tick(self, time: float) -> bool:
         """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it stopped."""
+        if not self.drives:
+            return False
         timeout = self.registers[Register.TIMEOUT] * TIMEOUT_UNIT
-        if self.drives and 0.0 < timeout < time - self.fed_at:
+        if 0.0 < timeout < time - self.fed_at:
             self.fail(LOST_COMMUNICATION)
             return True
         return False
@@ -176,7 +178,7 @@ class SimulatedMotor:
     def feedback_of(self, *measured: float) -> bytes:
         """Return the data of feedback with position [rad], velocity [rad/s], torque [N m]."""
         temperatures = self.temperature_mos, self.temperature_rotor
-        fields = np.array([[self.status, self.can_id & 0xF, *measured, *temperatures]])
+        fields = np.array([(self.status, self.can_id & 0xF, *measured, *temperatures)])
         return encode_feedback(fields, self._scaling).tobytes()
 
     @property
@@ -300,7 +302,8 @@ class SimulatedArm:
         self._read_sensors()
         self._drives = None
         answers = [motor.handle(frame, time) for motor in self.motors]
-        self.was_enabled |= any(motor.drives for motor in self.motors)
+        if not self.was_enabled:
+            self.was_enabled = any(motor.drives for motor in self.motors)
         return [answer for answer in answers if answer is not None]
 
     @property

@@ -37,6 +37,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -354,23 +355,24 @@ class ArmStepper:
         direction = np.sign(axes.dot(self.qd))
         sticks = is_at_stop | (can_stick & (direction == 0.0))
         most_held = coulomb * (1.0 + 1e-9)
+        none = np.zeros_like(sticks)
         # Directions stick or slide until the friction of all of them agrees with their motion; the
         # number of rounds is limited in case they never do.
         for _ in range(2 * len(coulomb) + 1):
             friction = np.where(sticks, 0.0, coulomb * direction)
             speed = free_speed - axis_response.dot(friction)
+            breaks_loose = none
             if np.count_nonzero(sticks):
                 held = axis_response[:, sticks]
                 holding = self._hold(held[sticks], speed[sticks])
                 friction[sticks] = holding
                 speed -= held.dot(holding)
+                # One that sticks has no speed that could be reversed.
                 speed[sticks] = 0.0
-            # One that sticks has no speed.
-            reverses = can_stick & (speed * direction < 0.0)
-            # Friction has the opposite sign, so that the stop pushes.
-            breaks_loose = sticks & (np.abs(friction) > most_held)
-            breaks_loose &= stop * friction >= 0.0
-            changes = reverses | breaks_loose
+                breaks_loose = sticks & (np.abs(friction) > most_held)
+                # Friction has the opposite sign, so that the stop pushes.
+                breaks_loose &= stop * friction >= 0.0
+            changes = breaks_loose | (can_stick & (speed * direction < 0.0))
             if not np.count_nonzero(changes):
                 break
             direction = np.where(breaks_loose, np.sign(friction), direction)
@@ -397,6 +399,12 @@ class ArmStepper:
 _STAGE = 1.0 - math.sqrt(0.5)
 
 
+@cache
+def _identity(n: int) -> Array:
+    """Return the unit matrix (n, n), made once: steps are many."""
+    return np.eye(n)
+
+
 def _velocity_responses(undamped: Array, resistance: Array) -> tuple[Array, Array]:
     """Return how a constant torque changes velocities in a damped step.
 
@@ -409,7 +417,7 @@ def _velocity_responses(undamped: Array, resistance: Array) -> tuple[Array, Arra
         Two matrices (n, n) [rad/s per N m]: the change of the velocities at the end of the step,
         and of their mean over the step.
     """
-    implicit = np.eye(len(resistance)) + undamped * (_STAGE * resistance)
+    implicit = _identity(len(resistance)) + undamped * (_STAGE * resistance)
     stage = np.linalg.solve(implicit, undamped)
     # The second stage is stage - _STAGE damped, and both responses are sums of the two stages.
     damped = (stage * resistance).dot(stage)
