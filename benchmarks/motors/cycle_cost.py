@@ -11,7 +11,8 @@ end are motors that make exactly what they are told and answer at once. The bare
 frames and takes seven answers and as many echoes; ``play`` does all that it does on an arm, with a
 recording. Time is simulated, so that nothing waits and no other program makes a run late. All
 processor time counts, that of the far end included: what ``play`` itself takes is the difference.
-``simulate`` is the same run on an arm and motors that are simulated in its usual steps. Runs of all kinds take turns, and the least of each counts.
+``simulate`` is the same run on an arm and motors that are simulated in its usual steps. Runs of all
+kinds take turns, and the least of each counts.
 """
 
 from __future__ import annotations

@@ -445,8 +445,9 @@ class MotorSession:
                 missing -= 1
         raw = np.frombuffer(b"".join(data), dtype=np.uint8).reshape(-1, 8)
         decoded = decode_feedback(raw, self.scaling)
-        motion = decoded.position, decoded.velocity, decoded.torque
-        q, qd, tau = self._mounting.inverse.signals(*motion)
+        q, qd, tau = self._mounting.inverse.signals(
+            decoded.position, decoded.velocity, decoded.torque
+        )
         feedback = replace(decoded, position=q, velocity=qd, torque=tau)
         came = np.isfinite(received)
         time = np.where(came & np.isfinite(sent), sent, received)

@@ -74,7 +74,7 @@ class Replies:
 
 def without_nan(values: Array) -> Array:
     """Return values with 0 where they are NaN. (numpy's ``nan_to_num`` takes ten times as long.)"""
-    known = values.copy()
+    known = np.array(values)
     known[np.isnan(known)] = 0.0
     return known
 

@@ -203,6 +203,14 @@ class Watch:
         self._pushed = np.minimum(rated / kp, settings.tracking)
         # How much faster a joint is on average than where it is sampled.
         self._slowed = slowing_in_a_cycle(settings.period, kp, np.array(settings.kd))
+        # Bounds (n,) of rows that do not depend on the cycle.
+        self._most_beside_led = settings.max_speed_error + 2.0 * self._velocity_step
+        torque_slack = 4.0 * self._torque_step
+        self._torque_error = _TORQUE_ERROR * peak_torque + torque_slack
+        self._long_torque_floor = np.maximum(
+            torque_slack, _LONG_TORQUE_FLOOR * peak_torque
+        )
+        self._most_beside_fed = peak_torque / _PEAK_OVER_EXCITATION
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # The largest friction of a joint that nobody knows.
@@ -358,8 +366,7 @@ class Watch:
         turn, way, speed, led, *_ = self._short
         long_turn, long_way, long_speed, *_ = self._long
         drift_way, drift_speed = self._drift
-        most_beside_led = self._settings.max_speed_error + 2.0 * self._velocity_step
-        yield _Comparison(way, led, most_beside_led)
+        yield _Comparison(way, led, self._most_beside_led)
         bound = _SPEED_ERROR + _SPEED_SHARE * np.abs(speed)
         bound = bound + self._velocity_step + 0.5 * turn
         yield _Comparison(way, self._slowed_speed(way, speed), bound)
@@ -384,13 +391,10 @@ class Watch:
         """
         tau, commanded, fed, added, _ = self._short[4:]
         long_tau, long_commanded, long_fed, _, _ = self._long[4:]
-        peak = self._peak
-        bound = _TORQUE_ERROR * peak + 4.0 * self._torque_step
-        yield _Comparison(tau, commanded, bound)
-        floor = np.maximum(4.0 * self._torque_step, _LONG_TORQUE_FLOOR * peak)
-        long_bound = _LONG_TORQUE_SHARE * long_commanded + floor
+        yield _Comparison(tau, commanded, self._torque_error)
+        long_bound = _LONG_TORQUE_SHARE * long_commanded + self._long_torque_floor
         yield _Comparison(long_tau, long_commanded, long_bound)
-        yield _Comparison(tau, fed, peak / _PEAK_OVER_EXCITATION)
+        yield _Comparison(tau, fed, self._most_beside_fed)
         # A wrong model gets half of a change of the feed-forward torque wrong.
         needed_bound = load + 0.5 * np.abs(fed - long_fed)
         yield _Comparison(fed + added, fed + self._usually_added(), needed_bound)
