@@ -72,9 +72,8 @@ class BusHealth:
         """
         self._count_reports(replies)
         unanswered = replies.requested & ~replies.answered
-        missed = ~replies.answered
-        self.silent = missed * (self.silent + 1)
-        self._doubted = missed * (self._doubted + replies.doubted)
+        counts = [self.silent + 1, self._doubted + replies.doubted]
+        self.silent, self._doubted = np.where(replies.answered, 0, counts)
         is_heard = replies.answered | replies.followed
         self.unheard = np.where(is_heard, 0, self.unheard + 1)
         self.total_missed += unanswered
