@@ -335,8 +335,8 @@ def require_allowed(
             which a command may exceed what is allowed.
     """
     # A joint that has never answered has an unknown position error: only its torque counts. What is
-    # told to go to infinity is refused by its position.
-    with np.errstate(invalid="ignore"):
+    # told to go too far is refused by its position, whatever torque that makes.
+    with np.errstate(over="ignore", invalid="ignore"):
         asked, makes = (
             given.kp * without_nan(given.position - q) + given.torque
             for given in (command, allowed)
