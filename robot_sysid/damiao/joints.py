@@ -30,6 +30,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -231,7 +232,7 @@ class Mounting:
         direction = np.array([joint.direction for joint in joints], float)
         return cls(direction, np.array([joint.offset for joint in joints]))
 
-    @property
+    @cached_property
     def inverse(self) -> Mounting:
         """The conversion from motors to joints, which has the same form."""
         return Mounting(self.direction, -self.direction * self.offset)

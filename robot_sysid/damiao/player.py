@@ -227,6 +227,8 @@ class Player:
             session.joints, settings, session.steps, session.limits.torque, holding
         )
         self._timer: CycleTimer
+        self._kp = np.array(settings.kp)
+        self._kd = np.array(settings.kd)
         # Factor, from 0 to 1, of stiffness and feed-forward torque.
         self._gain = 0.0
         self._phase = Phase(stands=True, settles=True)
@@ -405,8 +407,8 @@ class Player:
         rise = 1.0 / n_steps if n_steps > LEAST_RISE_STEPS else 1.0
         self._gain = min(self._gain + rise, 1.0)
         position, velocity, torque, *_ = reference
-        kp = self._gain * np.array(self._settings.kp) * self._follower.stiffness
-        kd = self._follower.damping * np.array(self._settings.kd)
+        kp = self._gain * self._kp * self._follower.stiffness
+        kd = self._follower.damping * self._kd
         # Motors with stiffness alone oscillate.
         kd = np.maximum(kd, KD_STEP * (kp > 0.0))
         command = MitCommand(position, velocity, kp, kd, self._gain * torque)
@@ -433,7 +435,7 @@ class Player:
             self._needed,
         )
         self._follower.follow(*self._trusted_motion, motor_torque)
-        if np.any(replies.answered):
+        if replies.answered.any():
             self._heard_at = self._clock.now()
         return replies, acted
 
@@ -443,11 +445,10 @@ class Player:
 
         They are NaN where they are not trusted, or the run has switched the motor off.
         """
-        motion = self._session.believed_motion
+        q, qd = self._session.believed_motion
         watch = self._watch
         is_known = watch.trusted_joints & ~watch.to_switch_off
-        q, qd = np.where(is_known, motion, np.nan)
-        return q, qd
+        return np.where(is_known, q, np.nan), np.where(is_known, qd, np.nan)
 
     def _stop_gently(self) -> None:
         """Brake the motors that still answer, and hold the arm until it is at rest.

@@ -44,6 +44,13 @@ _BYTE_END = 255.0
 """Greatest code of a field of a byte: each of the two temperatures [degC]."""
 
 
+# Why a command is refused.
+_UNSTABLE = f"has kp > 0, which needs kd of at least {KD_STEP:.2g}"
+_SPECIAL_FRAME = "would read as a special frame; lower its gains or torque"
+# Fraction of a step that is added to each field of feedback, see ``decode_feedback``.
+_HALVES = np.array([0.0, 0.0, 0.5, 0.5, 0.5, 0.0, 0.0])
+
+
 class _Codec:
     """Converts F quantities to the bit fields of 64-bit frames, most significant first, and back.
 
@@ -60,6 +67,7 @@ class _Codec:
         self._low = low
         self._max_codes = (1 << np.array(bits)) - 1
         self._shifts = 64 - np.cumsum(bits)
+        self._places = 1 << self._shifts
         self._codes_per_unit = self._max_codes / (high - low)
         self.steps = (high - low) / self._max_codes
 
@@ -70,16 +78,16 @@ class _Codec:
         """
         scaled = (values - self._low) * self._codes_per_unit
         # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
-        codes = np.clip(np.floor(scaled + rounding), 0, self._max_codes)
-        fields = codes.astype(np.int64) << self._shifts
-        integers = np.bitwise_or.reduce(fields, axis=-1)
+        codes = np.minimum(np.maximum(np.floor(scaled + rounding), 0), self._max_codes)
+        integers = codes.astype(np.int64) @ self._places
         return integers.astype(">i8")[..., None].view(np.uint8)
 
-    def decode(self, frames: Bytes, fraction: Array | float = 0.0) -> Array:
-        """Return the quantities (F, ..., n) in frames (..., n, 8), plus a fraction of a step."""
+    def decode(self, frames: Bytes, fraction: Array | float = 0.0) -> list[Array]:
+        """Return the F quantities (..., n) in frames (..., n, 8), plus a fraction of a step."""
         big_endian = np.ascontiguousarray(frames, dtype=np.uint8).view(">i8")
         codes = (big_endian.astype(np.int64) >> self._shifts) & self._max_codes
-        return np.moveaxis((codes + fraction) * self.steps + self._low, -1, 0)
+        values = (codes + fraction) * self.steps + self._low
+        return [values[..., field] for field in range(len(self._shifts))]
 
 
 class Scaling:
@@ -105,12 +113,21 @@ class Scaling:
         self.high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
         # Stiffness and damping begin at zero.
         self.low = self.high * (-1.0, -1.0, 0.0, 0.0, -1.0)
+        # A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of
+        # 12.566 must still be accepted.
+        slack = 1e-6 * self.high
+        self._accepted = self.low - slack, self.high + slack
         self.command = _Codec((16, 12, 12, 12, 12), self.low, self.high)
         # Status, id and temperatures are their own codes.
         low = np.insert(-self.limits, [0, 0, 3, 3], 0.0, axis=1)
         ends = (_NIBBLE_END, _NIBBLE_END, _BYTE_END, _BYTE_END)
         high = np.insert(self.limits, [0, 0, 3, 3], ends, axis=1)
         self.feedback = _Codec((4, 4, 16, 12, 12, 8, 8), low, high)
+
+    def accepts(self, values: Array) -> NDArray[np.bool_]:
+        """Return which quantities (..., n, 5) of commands are in their ranges; NaN is not."""
+        lowest, highest = self._accepted
+        return (values >= lowest) & (values <= highest)
 
     @property
     def steps(self) -> tuple[Array, ...]:
@@ -177,25 +194,20 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             kd > 0 in its frame (the motor would oscillate), or a frame's first seven bytes would
             all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
-    values = np.stack(np.broadcast_arrays(*command), axis=-1)
-    # A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of
-    # 12.566 must still be accepted.
-    slack = 1e-6 * scaling.high
-    # Written so that a NaN counts as outside.
-    inside = (values >= scaling.low - slack) & (values <= scaling.high + slack)
-    for *_, motor, field in np.argwhere(~inside)[:1]:
+    values = np.stack(command, axis=-1)
+    inside = scaling.accepts(values)
+    if not inside.all():
+        *_, motor, field = np.argwhere(~inside)[0]
         raise InputError(
             f"{MitCommand._fields[field]} {values[~inside][0]:g} of motor number {motor + 1} "
             f"is outside its range, limit {scaling.high[motor, field]:g}"
         )
     frames = scaling.command.encode(values, rounding=0.5)
     is_unstable = (command.kp > 0.0) & (command.kd < 0.5 * KD_STEP)
-    is_special_frame = np.all(frames[..., :7] == 0xFF, axis=-1)
-    for mask, text in (
-        (is_unstable, f"has kp > 0, which needs kd of at least {KD_STEP:.2g}"),
-        (is_special_frame, "would read as a special frame; lower its gains or torque"),
-    ):
-        for *_, motor in np.argwhere(mask)[:1]:
+    is_special_frame = np.minimum.reduce(frames[..., :7], axis=-1) == 0xFF
+    for mask, text in ((is_unstable, _UNSTABLE), (is_special_frame, _SPECIAL_FRAME)):
+        if mask.any():
+            *_, motor = np.argwhere(mask)[0]
             raise InputError(f"the command of motor number {motor + 1} {text}")
     return frames
 
@@ -211,9 +223,8 @@ def decode_feedback(frames: Bytes, scaling: Scaling) -> Feedback:
     Half a quantisation step is added to position, velocity and torque: a motor truncates when it
     packs a value, so that received values are half a step too low on average.
     """
-    halves = np.array([0.0, 0.0, 0.5, 0.5, 0.5, 0.0, 0.0])
     status, _, position, velocity, torque, mos, rotor = scaling.feedback.decode(
-        frames, halves
+        frames, _HALVES
     )
     return Feedback(
         status.astype(int),

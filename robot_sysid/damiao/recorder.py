@@ -42,7 +42,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao.protocol import MitCommand, register_text
-from robot_sysid.damiao.safety.plausibility import NO_STATUS, Replies
+from robot_sysid.damiao.safety.plausibility import NO_STATUS, Replies, without_nan
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
@@ -207,6 +207,7 @@ class MeasurementRecorder:
             is_reported = replies.reported != NO_STATUS
             status = np.where(is_reported, replies.reported, np.nan)
             temperatures = feedback.temperature_mos, feedback.temperature_rotor
+            measured = (feedback.position, feedback.velocity, feedback.torque + centre)
             further = (
                 replies.time - origin,
                 acted.position,
@@ -217,13 +218,14 @@ class MeasurementRecorder:
                 status,
                 *np.where(replies.answered, temperatures, np.nan),
             )
-            # Rows of these tables are joints.
-            measured = np.column_stack(
-                [feedback.position, feedback.velocity, feedback.torque + centre]
-            )
-            cells = time, *measured.flat, *np.column_stack(further).flat
+            # Joint by joint.
+            cells = [
+                time,
+                *np.array(measured).ravel("F").tolist(),
+                *np.array(further).ravel("F").tolist(),
+            ]
             # What is not known is an empty cell.
-            row = (self._row_format % cells).replace("nan", "")
+            row = (self._row_format % tuple(cells)).replace("nan", "")
             self._file.write(mark + row)
 
         self._aside(write_row)
@@ -292,7 +294,7 @@ class Centring:
         last = state if self._last is None else self._last
         # A joint that did not answer gets its last time and torque step.
         self._last = np.where(np.isfinite(state), state, last)
-        correction = 0.5 * step - np.nan_to_num(step - last[1]) / 12.0
+        correction = 0.5 * step - without_nan(step - last[1]) / 12.0
         if self._mobility is None:
             return correction
         time, steps = self._last
@@ -302,4 +304,4 @@ class Centring:
         impulse = acted.kd * self._period
         fallen = impulse * ((self._mobility * polynomial) @ steps)
         fallen /= np.hypot(1.0, impulse * np.diag(self._mobility) / 6.0)
-        return correction - np.nan_to_num(fallen)
+        return correction - without_nan(fallen)

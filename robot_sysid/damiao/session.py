@@ -71,6 +71,8 @@ by ``PlaySettings.max_lateness``."""
 _SAME_POSITION = 0.02
 """By how much two answers of an arm that is not driven yet may disagree about its position [rad]:
 it stands, or sinks slowly, and a damaged answer is off by more."""
+_NO_DATA = bytes(8)
+"""What stands for the data of a motor's answer that has not come."""
 _DISABLE_PATIENCE = 0.5
 """How long motors are told again to disable until they have confirmed it [s]: a bus that fails may
 work again by then."""
@@ -351,9 +353,9 @@ class MotorSession:
         allowed = confine(command, self.limits, self.sent_position, elapsed, q)
         # A joint that missed commands lags behind: what its motor makes leads it back.
         is_confined = braking | (now < self._led_back_until)
-        command = MitCommand(
-            *(np.where(is_confined, *pair) for pair in zip(allowed, command))
-        )
+        if is_confined.any():
+            pairs = zip(allowed, command)
+            command = MitCommand(*(np.where(is_confined, *pair) for pair in pairs))
         require_allowed(self._labels, command, allowed, q, self.steps)
         packed = encode_mit(self._mounting.command(command), self.scaling)
         commanded = joints if braking else self._outstanding.may_be_commanded(joints)
@@ -361,7 +363,7 @@ class MotorSession:
         # Replies are sampled before this command acts, while the last one is in force.
         acted = self._command
         self._put_in_force(packed, commanded, now)
-        for j in np.flatnonzero(commanded).tolist():
+        for j in commanded.nonzero()[0].tolist():
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(CanFrame(self.joints[j].can_id, self._sent_data[j]))
         awaited = np.where(braking, 1, self._outstanding.owed)
@@ -400,7 +402,7 @@ class MotorSession:
         )
         moved = np.abs(new.position - self.sent_position)
         used = moved / self.limits.velocity
-        moved_until = np.clip(self._moved_until + used, now - _LATEST_MOVE, now)
+        moved_until = (self._moved_until + used).clip(now - _LATEST_MOVE, now)
         self._moved_until = np.where(commanded, moved_until, self._moved_until)
         self.sent_position = np.where(commanded, new.position, self.sent_position)
 
@@ -449,18 +451,22 @@ class MotorSession:
             until: when waiting ends [s].
             awaited: (n,) how many answers each of them may send; the last one counts.
         """
-        raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
-        # Time (n,) at which each command was on the bus, and at which each answer came [s].
-        sent, received = np.full((2, self.n_joints), np.nan)
+        data = [_NO_DATA] * self.n_joints
+        # Time at which each command was on the bus, and at which each answer came [s].
+        sent, received = ([np.nan] * self.n_joints for _ in range(2))
+        waits = motors.tolist()
         missing = int(np.sum(motors * awaited))
         while missing > 0 and (frame := self._link.receive(until)) is not None:
-            if frame.echo and frame.id in self._by_command:
-                sent[self._by_command[frame.id]] = frame.time
+            if frame.echo:
+                if frame.id in self._by_command:
+                    sent[self._by_command[frame.id]] = frame.time
+                continue
             j = self._answering_joint(frame)
-            if j is not None and motors[j]:
-                raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
+            if j is not None and waits[j]:
+                data[j] = frame.data
                 received[j] = frame.time
                 missing -= 1
+        raw = np.frombuffer(b"".join(data), dtype=np.uint8).reshape(-1, 8)
         decoded = decode_feedback(raw, self.scaling)
         q, qd, tau = self._mounting.inverse.signals(
             decoded.position, decoded.velocity, decoded.torque
@@ -492,6 +498,8 @@ class MotorSession:
 
 def _feedback_of(joints: Mask, feedback: Feedback) -> Feedback:
     """Return the feedback of some joints (n,); of the others it is ``NO_STATUS`` and NaN."""
+    if joints.all():
+        return feedback
     measured = feedback.position, feedback.velocity, feedback.torque
     q, qd, tau = np.where(joints, measured, np.nan)
     status = np.where(joints, feedback.status, NO_STATUS)

@@ -107,8 +107,10 @@ class SimulatedMotor:
 
     def tick(self, time: float) -> bool:
         """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it stopped."""
+        if not self.drives:
+            return False
         timeout = self.registers[Register.TIMEOUT] * TIMEOUT_UNIT
-        if self.drives and 0.0 < timeout < time - self.fed_at:
+        if 0.0 < timeout < time - self.fed_at:
             self.fail(LOST_COMMUNICATION)
             return True
         return False
@@ -142,7 +144,7 @@ class SimulatedMotor:
         if self.drives and self.registers[Register.CTRL_MODE] == MIT_MODE:
             frame = np.frombuffer(data, np.uint8)
             command = decode_mit(frame, self._scaling)
-            self.command = np.ravel(command).tolist()
+            self.command = np.concatenate(command).tolist()
         return answer
 
     def obey_special(self, code: int) -> None:
@@ -176,7 +178,7 @@ class SimulatedMotor:
     def feedback_of(self, *measured: float) -> bytes:
         """Return the data of feedback with position [rad], velocity [rad/s], torque [N m]."""
         temperatures = self.temperature_mos, self.temperature_rotor
-        fields = np.array([[self.status, self.can_id & 0xF, *measured, *temperatures]])
+        fields = np.array([(self.status, self.can_id & 0xF, *measured, *temperatures)])
         return encode_feedback(fields, self._scaling).tobytes()
 
     @property
@@ -219,7 +221,7 @@ class Drives(NamedTuple):
         kp: stiffness (n,) [N m/rad].
         kd: damping (n,) [N m s/rad].
         offset: torque (n,) [N m].
-        peak: largest torque (n,) of a driving motor [N m].
+        most: largest torque (n,) of a driving motor [N m]; infinite for the others.
         driving: whether each motor drives (n,).
     """
 
@@ -227,7 +229,7 @@ class Drives(NamedTuple):
     kp: Array
     kd: Array
     offset: Array
-    peak: Array
+    most: Array
     driving: NDArray[np.bool_]
 
 
@@ -300,7 +302,8 @@ class SimulatedArm:
         self._read_sensors()
         self._drives = None
         answers = [motor.handle(frame, time) for motor in self.motors]
-        self.was_enabled |= any(motor.drives for motor in self.motors)
+        if not self.was_enabled:
+            self.was_enabled = any(motor.drives for motor in self.motors)
         return [answer for answer in answers if answer is not None]
 
     @property
@@ -316,16 +319,16 @@ class SimulatedArm:
         A subclass may let motors do something else than they are commanded.
         """
         motors = self.motors[: self.mechanism.n_joints]
-        table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
-        driving = np.array([m.drives for m in motors])
-        *commands, brake, peak = table.T
+        rows = [(*m.command, m.brake, m.peak_torque, m.drives) for m in motors]
+        *commands, brake, peak, drives = np.array(rows).T
+        driving = drives != 0.0
         p, v, kp, kd, t = self.mounting.inverse.command(MitCommand(*commands))
         return Drives(
             position=p,
             kp=np.where(driving, kp, 0.0),
             kd=np.where(driving, kd, brake),
             offset=np.where(driving, kd * v + t, 0.0),
-            peak=peak,
+            most=np.where(driving, peak, np.inf),
             driving=driving,
         )
 
@@ -345,8 +348,10 @@ class SimulatedArm:
         drives = self.drives
         torque = drives.kp * (drives.position - self.encoded(q)) + drives.offset
         total = torque - drives.kd * self.mechanism.qd
-        saturated = drives.driving & (np.abs(total) > drives.peak)
-        limit = np.clip(total, -drives.peak, drives.peak)
+        saturated = np.abs(total) > drives.most
+        if not saturated.any():
+            return torque, drives.kd
+        limit = np.copysign(drives.most, total)
         return np.where(saturated, limit, torque), np.where(saturated, 0.0, drives.kd)
 
     def _read_sensors(self) -> None:
@@ -355,9 +360,8 @@ class SimulatedArm:
         qd = self.mechanism.qd
         torque, damping = self._motor_torques(q)
         signals = self.mounting.signals(q, qd, torque - damping * qd)
-        # One row of position, velocity and torque per motor.
-        readings = np.transpose(signals).tolist()
-        for motor, (position, velocity, motor_torque) in zip(self.motors, readings):
+        columns = [signal.tolist() for signal in signals]
+        for motor, position, velocity, motor_torque in zip(self.motors, *columns):
             motor.position = position
             motor.velocity = velocity
             # A motor measures the current of its power stage, not that of its shorted windings.

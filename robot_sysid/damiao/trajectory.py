@@ -95,8 +95,8 @@ class DamiaoTrajectory:
 
     def _rows_at(self, time: Array) -> NDArray[np.int64]:
         """Return the index (K,) of the row before each of some times (K,), or one time [s]."""
-        row = np.searchsorted(self.time, time) - 1
-        return np.clip(row, 0, len(self.time) - 2)
+        row = self.time.searchsorted(time) - 1
+        return np.minimum(np.maximum(row, 0), len(self.time) - 2)
 
     def state_at(self, time: Array) -> list[Array]:
         """Return q, qd, tau (K, n) on the straight lines between rows at times (K,) [s].
@@ -110,7 +110,7 @@ class DamiaoTrajectory:
         """Return signals (N, n) on the straight lines between rows at times (K,), or one time."""
         row = self._rows_at(time)
         since = (time - self.time[row]) / (self.time[row + 1] - self.time[row])
-        share = np.clip(since, 0.0, 1.0)[..., None]
+        share = np.minimum(np.maximum(since, 0.0), 1.0)[..., None]
         return [
             signal[row] + share * (signal[row + 1] - signal[row]) for signal in signals
         ]

@@ -37,6 +37,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -273,28 +274,29 @@ class ArmStepper:
         middle_qd = self.qd + 0.5 * self._last_change
         mobility, bias = self._dynamics(middle_q, middle_qd)
         resistance = damping + self.viscous
-        end_response, mean_response = _velocity_responses(mobility, resistance, h)
+        end_response, mean_response = _velocity_responses(h * mobility, resistance)
 
         load = torque - bias - resistance * self.qd
-        free_velocity = self.qd + end_response @ load
+        free_velocity = self.qd + end_response.dot(load)
         free_q = self.q + h * free_velocity
         # Direction of the torque of a stop that a joint would pass without dry friction.
         inwards = (free_q < self._stops.lower) - 1.0 * (free_q > self._stops.upper)
         velocity, friction = self._resolve_dry_friction(
             free_velocity, end_response, inwards
         )
-        mean_velocity = self.qd + mean_response @ (load - friction)
+        mean_velocity = self.qd + mean_response.dot(load - friction)
         # A joint that comes to rest loses its velocity evenly.
         mean_velocity = np.where(velocity == 0.0, 0.5 * self.qd, mean_velocity)
 
         self._last_change = velocity - self.qd
         self.q = self.q + h * mean_velocity
         self.qd = velocity
-        if inwards.any():
+        if np.count_nonzero(inwards):
             # A blow says nothing of the next step.
             self._last_change = np.zeros(self.n_joints)
             self.q = np.clip(self.q, self._stops.lower, self._stops.upper)
-        if not np.isfinite(self.q).all():
+        # What is not finite stays so in a sum.
+        if not math.isfinite(self.q.dot(self.q)):
             raise SimulationError(
                 "the simulated arm diverged; lower the gains or the torques"
             )
@@ -311,27 +313,28 @@ class ArmStepper:
         that act by themselves [N m]. MuJoCo's data is left at positions q (n,) and velocities
         qd (n,).
         """
+        model = self._model
         data = self._data
         dofs = self._robot.dof_index
         data.qpos[self._robot.qpos_index] = q
         data.qvel[dofs] = qd
-        mujoco.mj_fwdPosition(self._model, data)
-        mujoco.mj_fwdVelocity(self._model, data)
-        mujoco.mj_solveM(self._model, data, self._accelerations, self._unit_torques)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_solveM(model, data, self._accelerations, self._unit_torques)
         bias = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
         if self._has_passive_actuators:
-            mujoco.mj_fwdActuation(self._model, data)
+            mujoco.mj_fwdActuation(model, data)
             bias -= data.qfrc_actuator[dofs]
-        return self._accelerations[:, dofs], bias
+        return self._accelerations.take(dofs, axis=1), bias
 
     def _resolve_dry_friction(
         self, free_velocity: Array, response: Array, inwards: Array
     ) -> tuple[Array, Array]:
         """Return joint velocities (n,) and dry friction torques (n,) at the end of a step.
 
-        A direction of friction slides the way it moves, or would start to move without friction; if
-        friction would turn it round within the step it sticks, until holding it needs more than
-        its Coulomb level. A joint that would pass its stop sticks, until holding it needs a pull.
+        A direction of friction that moves slides that way; if friction would turn it round within
+        the step it sticks, and so does one at rest, until holding it needs more than its Coulomb
+        level. A joint that would pass its stop sticks, until holding it needs a pull.
 
         Args:
             free_velocity: (n,) joint velocities at the end of the step without dry friction.
@@ -343,59 +346,81 @@ class ArmStepper:
         coulomb = self.coulomb
         stop = np.zeros(len(coulomb))
         stop[: self.n_joints] = inwards
-        sticks = stop != 0.0
-        can_stick = sticks | (coulomb > 0.0)
-        joint_response = response @ axes.T
-        axis_response = axes @ joint_response
-        free_speed = axes @ free_velocity
+        is_at_stop = stop != 0.0
+        can_stick = is_at_stop | (coulomb > 0.0)
+        joint_response = response.dot(axes.T)
+        axis_response = axes.dot(joint_response)
+        free_speed = axes.dot(free_velocity)
         # Sign of the motion along each direction, in which friction takes energy.
-        present_speed = axes @ self.qd
-        direction = np.sign(np.where(present_speed != 0.0, present_speed, free_speed))
+        direction = np.sign(axes.dot(self.qd))
+        sticks = is_at_stop | (can_stick & (direction == 0.0))
+        most_held = coulomb * (1.0 + 1e-9)
+        none = np.zeros_like(sticks)
         # Directions stick or slide until the friction of all of them agrees with their motion; the
         # number of rounds is limited in case they never do.
         for _ in range(2 * len(coulomb) + 1):
             friction = np.where(sticks, 0.0, coulomb * direction)
-            speed = free_speed - axis_response @ friction
-            if sticks.any():
-                # Singular where a motor and all joints that it turns stick together.
-                held = axis_response[np.ix_(sticks, sticks)]
-                friction[sticks] = np.linalg.lstsq(held, speed[sticks], rcond=None)[0]
-                speed -= axis_response[:, sticks] @ friction[sticks]
+            speed = free_speed - axis_response.dot(friction)
+            breaks_loose = none
+            if np.count_nonzero(sticks):
+                held = axis_response[:, sticks]
+                holding = self._hold(held[sticks], speed[sticks])
+                friction[sticks] = holding
+                speed -= held.dot(holding)
+                # One that sticks has no speed that could be reversed.
                 speed[sticks] = 0.0
-            reverses = can_stick & ~sticks & (speed * direction < 0.0)
-            breaks_loose = sticks & (np.abs(friction) > coulomb * (1.0 + 1e-9))
-            # Friction has the opposite sign, so that the stop pushes.
-            breaks_loose &= stop * friction >= 0.0
-            if not (reverses | breaks_loose).any():
+                breaks_loose = sticks & (np.abs(friction) > most_held)
+                # Friction has the opposite sign, so that the stop pushes.
+                breaks_loose &= stop * friction >= 0.0
+            changes = breaks_loose | (can_stick & (speed * direction < 0.0))
+            if not np.count_nonzero(changes):
                 break
             direction = np.where(breaks_loose, np.sign(friction), direction)
-            sticks = (sticks | reverses) & ~breaks_loose
-        joint_velocity = free_velocity - joint_response @ friction
+            sticks = sticks ^ changes
+        joint_velocity = free_velocity - joint_response.dot(friction)
         joint_sticks = sticks[: self.n_joints]
-        return np.where(joint_sticks, 0.0, joint_velocity), axes.T @ friction
+        return np.where(joint_sticks, 0.0, joint_velocity), friction.dot(axes)
+
+    def _hold(self, response: Array, speed: Array) -> Array:
+        """Return the friction (s,) that stops s directions with a ``speed`` (s,).
+
+        ``response`` (s, s) is how much slower their friction makes them.
+        """
+        friction = np.empty_like(speed)
+        if len(self.coulomb) == self.n_joints:
+            friction[:] = np.linalg.solve(response, speed)
+        else:
+            # Singular where a motor and all joints that it turns stick together.
+            friction[:] = np.linalg.lstsq(response, speed, rcond=None)[0]
+        return friction
 
 
 # Implicit share of each stage that makes the two-stage method below of second order, L-stable.
 _STAGE = 1.0 - math.sqrt(0.5)
 
 
-def _velocity_responses(
-    mobility: Array, resistance: Array, h: float
-) -> tuple[Array, Array]:
-    """Return how a constant torque changes velocities in a damped step of length ``h``.
+@cache
+def _identity(n: int) -> Array:
+    """Return the unit matrix (n, n), made once: steps are many."""
+    return np.eye(n)
+
+
+def _velocity_responses(undamped: Array, resistance: Array) -> tuple[Array, Array]:
+    """Return how a constant torque changes velocities in a damped step.
 
     Args:
-        mobility: (n, n) inverse mass matrix [1 / (kg m^2)].
+        undamped: (n, n) change of the velocities by an undamped step: the inverse mass matrix times
+            the length of the step [rad/s per N m].
         resistance: (n,) damping of the joints [N m s/rad].
-        h: length of the step [s].
 
     Returns:
         Two matrices (n, n) [rad/s per N m]: the change of the velocities at the end of the step,
         and of their mean over the step.
     """
-    identity = np.eye(len(resistance))
-    stage = np.linalg.solve(identity + _STAGE * h * mobility * resistance, h * mobility)
-    second_stage = stage - _STAGE * (stage * resistance) @ stage
-    end_response = _STAGE * stage + (1.0 - _STAGE) * second_stage
-    mean_response = _STAGE * stage + (0.5 - _STAGE) * second_stage
+    implicit = _identity(len(resistance)) + undamped * (_STAGE * resistance)
+    stage = np.linalg.solve(implicit, undamped)
+    # The second stage is stage - _STAGE damped, and both responses are sums of the two stages.
+    damped = (stage * resistance).dot(stage)
+    end_response = stage - _STAGE * (1.0 - _STAGE) * damped
+    mean_response = 0.5 * stage - _STAGE * (0.5 - _STAGE) * damped
     return end_response, mean_response

@@ -95,7 +95,7 @@ class BusHealth:
         reported = replies.reported
         came = reported != NO_STATUS
         is_idle = came & (reported != ENABLED)
-        for j in np.flatnonzero(is_idle).tolist():
+        for j in is_idle.nonzero()[0].tolist():
             self.reports[j][int(reported[j])] += 1
         is_same = reported == self._status
         repeated = np.where(is_same, self._repeated + 1, 1)
@@ -155,7 +155,7 @@ class BusHealth:
             ),
         )
         for mask, text in faults:
-            for j in np.flatnonzero(mask).tolist():
+            for j in mask.nonzero()[0].tolist():
                 description = text.format(
                     status=status_text(self._status[j]),
                     doubted=self._doubted[j],

@@ -44,7 +44,7 @@ from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.references import Reference
 from robot_sysid.damiao.safety.health import BusHealth
 from robot_sysid.damiao.safety.holding import LOADED, HoldingTorque, torque_doubt
-from robot_sysid.damiao.safety.plausibility import Mask, Replies
+from robot_sysid.damiao.safety.plausibility import Mask, Replies, without_nan
 from robot_sysid.damiao.settings import PlaySettings, slowing_in_a_cycle
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -203,10 +203,19 @@ class Watch:
         self._pushed = np.minimum(rated / kp, settings.tracking)
         # How much faster a joint is on average than where it is sampled.
         self._slowed = slowing_in_a_cycle(settings.period, kp, np.array(settings.kd))
+        # Bounds (n,) of rows that do not depend on the cycle.
+        self._most_beside_led = settings.max_speed_error + 2.0 * self._velocity_step
+        torque_slack = 4.0 * self._torque_step
+        self._torque_error = _TORQUE_ERROR * peak_torque + torque_slack
+        self._long_torque_floor = np.maximum(
+            torque_slack, _LONG_TORQUE_FLOOR * peak_torque
+        )
+        self._most_beside_fed = peak_torque / _PEAK_OVER_EXCITATION
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # The largest friction of a joint that nobody knows.
         self._friction = largest_friction(joints)
+        self._tracking = np.array(settings.tracking)
         # Means over 0.1 s (9, n) of: the change of velocity from sample to sample, between which it
         # is not known; change of position, reported and commanded velocity; reported and commanded
         # torque, fed torque, the torque that the position control adds, and the sign of the
@@ -269,7 +278,7 @@ class Watch:
             return
         self._check_weight(followed)
         if self._shift is not None and not phase.yields:
-            time = float(np.mean(replies.time))
+            time = float(replies.time.mean())
             shift = self._shift(time, feedback.position, feedback.velocity, commanded)
             if shift is not None:
                 j, angle = shift
@@ -299,7 +308,7 @@ class Watch:
                 0.5 * (sample[2] + self._last[2]),
                 acted.velocity,
                 feedback.torque,
-                np.clip(commanded, -self._peak, self._peak),
+                commanded.clip(-self._peak, self._peak),
                 acted.torque,
                 commanded - acted.torque + hold_loss,
                 np.sign(acted.velocity)
@@ -309,14 +318,16 @@ class Watch:
         self._last = np.where(replies.answered, sample, self._last)
         change = -np.expm1(-passed / _SHORT) * (signals - self._short)
         self._short = np.where(is_usable, self._short + change, self._short)
-        means = np.vstack([np.abs(self._short[:6]), self._short[6:]])
+        means = self._short.copy()
+        np.abs(means[:6], out=means[:6])
         share = -np.expm1(-passed / _LONG) * is_usable
         self._long += share * (means - self._long)
         self._drift += share * (self._short[1:3] - self._drift)
         if phase.rises:
             self._long[6:] = self._short[6:]
-        beside = self._short[7] - self._usually_added
-        self._swing += share * (np.maximum([beside, -beside], 0.0) - self._swing)
+        beside = self._short[7] - self._usually_added()
+        both = np.array([beside, -beside])
+        self._swing += share * (np.maximum(both, 0.0) - self._swing)
 
     def _check_rows(
         self, replies: Replies, acted: MitCommand, followed: Reference, phase: Phase
@@ -326,7 +337,7 @@ class Watch:
         The arguments are those of ``check``. A joint without an answer is not judged.
         """
         q = replies.feedback.position
-        tracking = np.array(self._settings.tracking)
+        tracking = self._tracking
         if phase.stands:
             tracking = self.standing_limit(q, acted.position, acted.torque)
         stands = np.abs(acted.velocity) <= self._velocity_step
@@ -338,7 +349,7 @@ class Watch:
             *self._speed_comparisons(),
             *self._torque_comparisons(self._load_bound(stands, followed)),
         ]
-        measured, expected, bounds = map(np.array, zip(*rows))
+        measured, expected, bounds = np.array(rows).swapaxes(0, 1)
         if phase.rises:
             bounds[_FED:] = np.inf
         if phase.settles:
@@ -348,7 +359,7 @@ class Watch:
         residuals = np.where(replies.answered, np.abs(measured - expected), 0.0)
         self.worst_tracking = np.maximum(self.worst_tracking, residuals[0])
         excess = residuals / bounds
-        k, j = divmod(int(np.argmax(excess)), len(q))
+        k, j = divmod(int(excess.argmax()), len(q))
         if excess[k, j] <= 1.0:
             return
         _, way, _, led, *_ = self._short
@@ -360,8 +371,7 @@ class Watch:
         turn, way, speed, led, *_ = self._short
         long_turn, long_way, long_speed, *_ = self._long
         drift_way, drift_speed = self._drift
-        most_beside_led = self._settings.max_speed_error + 2.0 * self._velocity_step
-        yield _Comparison(way, led, most_beside_led)
+        yield _Comparison(way, led, self._most_beside_led)
         bound = _SPEED_ERROR + _SPEED_SHARE * np.abs(speed)
         bound = bound + self._velocity_step + 0.5 * turn
         yield _Comparison(way, self._slowed_speed(way, speed), bound)
@@ -386,16 +396,13 @@ class Watch:
         """
         tau, commanded, fed, added, _ = self._short[4:]
         long_tau, long_commanded, long_fed, _, _ = self._long[4:]
-        peak = self._peak
-        bound = _TORQUE_ERROR * peak + 4.0 * self._torque_step
-        yield _Comparison(tau, commanded, bound)
-        floor = np.maximum(4.0 * self._torque_step, _LONG_TORQUE_FLOOR * peak)
-        long_bound = _LONG_TORQUE_SHARE * long_commanded + floor
+        yield _Comparison(tau, commanded, self._torque_error)
+        long_bound = _LONG_TORQUE_SHARE * long_commanded + self._long_torque_floor
         yield _Comparison(long_tau, long_commanded, long_bound)
-        yield _Comparison(tau, fed, peak / _PEAK_OVER_EXCITATION)
+        yield _Comparison(tau, fed, self._most_beside_fed)
         # A wrong model gets half of a change of the feed-forward torque wrong.
         needed_bound = load + 0.5 * np.abs(fed - long_fed)
-        yield _Comparison(fed + added, fed + self._usually_added, needed_bound)
+        yield _Comparison(fed + added, fed + self._usually_added(), needed_bound)
 
     def _load_bound(self, stands: Mask, followed: Reference) -> Array:
         """Return by how much the torque that each joint (n,) needs may change within a second.
@@ -404,19 +411,18 @@ class Watch:
         """
         peak = self._peak
         least = np.where(stands, _STANDING_LOAD, _MOVING_LOAD) * peak
-        load = np.clip(self._spring, least, _MOST_LOAD * peak)
+        load = self._spring.clip(least, _MOST_LOAD * peak)
         # What the weight is usually off changes with the pose: by all of it within a radian. An arm
         # that sinks where it is to stand has not been led anywhere.
-        moved = np.minimum(_LONG * np.max(self._long[3], initial=0.0), 1.0)
-        usual = np.nan_to_num(moved * INTERVAL * followed.weight_error)
+        moved = min(_LONG * float(self._long[3].max()), 1.0)
+        usual = without_nan(moved * INTERVAL * followed.weight_error)
         load = np.maximum(load, np.minimum(usual, _MOST_LOAD * peak))
         # A heavy joint with little damping swings about its path, and has done so before. A joint
         # that sticks and slips needs its friction one way, and at once the other way.
-        swinging = load + _CREST * np.min(self._swing, axis=0)
+        swinging = load + _CREST * np.minimum(*self._swing)
         moving = np.maximum(swinging, 2.0 * self._friction)
         return np.where(stands, load, moving)
 
-    @property
     def _usually_added(self) -> Array:
         """What the control of a sound joint may add to the fed torque (n,) [N m].
 
@@ -428,7 +434,7 @@ class Watch:
         # Friction of one unit has changed the torque by this much since.
         turned = self._short[8] - self._long[8]
         most = self._friction * turned
-        change = np.clip(added - lasting, np.minimum(most, 0.0), np.maximum(most, 0.0))
+        change = (added - lasting).clip(np.minimum(most, 0.0), np.maximum(most, 0.0))
         return lasting + change
 
     def _check_weight(self, followed: Reference) -> None:
@@ -443,7 +449,7 @@ class Watch:
         holding = self._holding
         error = error + holding.change_of_weight(q - followed.position)
         is_opposite = self._is_opposite(weight, error)
-        if holding.is_model and np.any(is_opposite):
+        if holding.is_model and is_opposite.any():
             is_opposite &= self._is_opposite(
                 holding.torque(q), STOPPING * holding.error(q)
             )
@@ -470,7 +476,7 @@ class Watch:
     def _slowed_speed(self, way: Array, speed: Array) -> Array:
         """Return the mean speed (n,) [rad/s] nearest to ``way`` that a sampled ``speed`` allows."""
         fastest = speed * self._slowed
-        return np.clip(way, np.minimum(speed, fastest), np.maximum(speed, fastest))
+        return way.clip(np.minimum(speed, fastest), np.maximum(speed, fastest))
 
     def _check_repeats(
         self, replies: Replies, acted: MitCommand, commanded: Array
@@ -483,7 +489,7 @@ class Watch:
         """
         feedback = replies.feedback
         now = np.array([feedback.position, feedback.velocity])
-        is_same = replies.answered & np.all(now == self._last[1:], axis=0)
+        is_same = replies.answered & np.logical_and.reduce(now == self._last[1:])
         command = np.array([acted.position, commanded])
         begins = replies.answered & ~is_same
         self._repeats_since = np.where(begins, command, self._repeats_since)
@@ -503,7 +509,7 @@ class Watch:
         self._stale = (is_same & moves) | (is_led & ~follows)
         self.stuck |= is_frozen
         self.to_switch_off |= is_frozen
-        for j in np.flatnonzero(is_frozen | (is_led & ~follows)).tolist():
+        for j in (is_frozen | (is_led & ~follows)).nonzero()[0].tolist():
             self._raise(j, _REPEATS.format(feedback.position[j], led_by[j]))
 
     def check_holding(self, q: Array) -> None:
@@ -518,7 +524,7 @@ class Watch:
         self, is_wrong: Mask, carried: Array, expected: Array, hint: str = ""
     ) -> None:
         """Raise HardwareAbort for the first joint in ``is_wrong`` (n,), with both torques (n,)."""
-        for j in np.flatnonzero(is_wrong).tolist():
+        for j in is_wrong.nonzero()[0].tolist():
             self._raise(j, _CARRIES.format(carried[j], expected[j]) + hint)
 
     def standing_limit(self, q: Array, reference_q: Array, fed: Array) -> Array:
