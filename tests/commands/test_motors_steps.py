@@ -98,7 +98,8 @@ def test_a_map_leads_to_a_plan_for_the_motors_of_the_joints(
     words = step_in(out)
     types = [word for flag, word in zip(words, words[1:]) if flag == "--motor-type"]
     assert types == ["DM8009", "DM4340"]
-    assert words[:2] == ["plan", str(model)] and "--export-damiao" in words
+    assert words[:2] == ["plan", str(model)]
+    assert words[words.index("--joint-map") + 1] == "joint_map.csv"
 
 
 @pytest.mark.parametrize("folder", [".", "planned", "sysid_output"])

@@ -219,7 +219,7 @@ def test_a_simulated_arm_is_moved_and_the_printed_command_moves_the_real_one(
     out = motors.succeed(*shlex.split(line)[2:], "--yes")
     assert "moving to 2" in out
     step = out.splitlines()[-1]
-    assert step.startswith(f"  robot-sysid plan {model} --for arm --export-damiao")
+    assert step.startswith(f"  robot-sysid plan {model} --for arm --motor-type")
 
 
 @pytest.mark.slow
