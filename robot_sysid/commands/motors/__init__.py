@@ -10,7 +10,11 @@ from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
-from robot_sysid.commands.motors.following import map_step
+from robot_sysid.commands.motors.following import (
+    play_step,
+    step_at_arm,
+    steps_after_play,
+)
 from robot_sysid.commands.motors.holding import hold
 from robot_sysid.commands.motors.mapping import MapOptions, map_joints
 from robot_sysid.commands.motors.moving import move
@@ -20,8 +24,6 @@ from robot_sysid.commands.motors.session import (
     check_and_run,
     conclude_on_reports,
     findings,
-    play_step,
-    steps_after_play,
 )
 from robot_sysid.commands.motors.setup import (
     MonitorOptions,
@@ -76,7 +78,7 @@ def check(session: Session) -> int:
         is_mapped = session.options.files.joint_map is not None
         unverified = stops([*direction_checks(plan, session.holding(plan))])
         if inspection is not None and not is_mapped and unverified:
-            session.conclude(*session.verdict, map_step(session))
+            session.conclude(*session.verdict, step_at_arm(session))
         return 1
     session.conclude("Usable: ready to play", play_step(session, plan))
     return 0
