@@ -35,7 +35,9 @@ PERSON = {
 }
 """Number of a step to what somebody needs who does it for the first time, as estimated."""
 LEAST_TIME = 0.05
-"""Time below which nothing is said of it [s]."""
+"""Time of the computer below which nothing is said of it [s]."""
+LEAST_BUS_TIME = 0.5
+"""Time of the bus below which nothing is said of it [s]: what is left on it is read in less."""
 USABLE = (0, 1)
 """Exit codes of commands that have done their work."""
 
@@ -66,7 +68,7 @@ def table_lines(times_by_arm: dict[str, dict[str, list[float]]]) -> list[str]:
     for title in re.findall(r"^### (\d\. .*)$", text, re.MULTILINE):
         of_arms = [times.get(title, [0.0] * 3) for times in times_by_arm.values()]
         bus = max(times[-1] for times in of_arms)
-        row = [title, PERSON[title[0]], f"{bus:.0f}" if bus > LEAST_TIME else ""]
+        row = [title, PERSON[title[0]], f"{bus:.0f}" if bus > LEAST_BUS_TIME else ""]
         for wall, processor, _ in of_arms:
             spent = f"{wall:.1f} ({processor:.1f})"
             row.append(spent if wall > LEAST_TIME else "")

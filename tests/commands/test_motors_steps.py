@@ -11,7 +11,7 @@ from rigs.arms import small_arms
 from rigs.arms.walk import in_haste
 from rigs.arms.wrong_arms import resting_torque
 from rigs.motors.damiao_rig import fault, map_line, trajectory_file
-from robot_sysid.damiao.joints import write_joint_map
+from robot_sysid.damiao.joints import BY_HAND, write_joint_map
 from robot_sysid.damiao.protocol import Register
 
 SETUP = "setup --channel can0"
@@ -103,6 +103,25 @@ def test_a_map_leads_to_a_plan_for_the_motors_of_the_joints(
     assert types == ["DM8009", "DM4340"]
     assert words[:2] == ["plan", str(model)]
     assert words[words.index("--joint-map") + 1] == "joint_map.csv"
+
+
+@pytest.mark.slow
+def test_a_map_made_before_the_plan_is_in_every_line_until_the_arm_is_played(
+    motors, bus, model, tmp_path
+):
+    mapped = tmp_path / "mine.csv"
+    rows = [map_line(f"joint{k}", k + 1, 0x11 + k, 1, 0.0, BY_HAND) for k in range(2)]
+    write_joint_map(mapped, rows)
+    types = ["--motor-type", "DM4340"] * 2
+    plan = ["plan", str(model), *types, "--output-dir", "planned", "--joint-map"]
+    words = [*plan, "mine.csv"]
+    for command in ("simulate", "check", "play"):
+        words = step_in(run(motors, words))
+        assert words[:2] == ["motors", command]
+        assert words[words.index("--joint-map") + 1] == "mine.csv"
+    write_joint_map(mapped, rows[:1])
+    code, _, error = motors.run_program([*plan, "mine.csv"])
+    assert code == 2 and "the joint map has no line for joint1" in error
 
 
 @pytest.mark.parametrize("folder", [".", "planned", "sysid_output"])
