@@ -69,15 +69,29 @@ class OutputOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class MotorOptions(OptionRecord):
-    """Whether the trajectory is written for Damiao motors, and which they are."""
+    """Whether the trajectory is written for Damiao motors, which they are, and how mounted."""
 
-    export_damiao: bool = option(False, "also write the trajectory for Damiao motors")
+    export_damiao: bool = option(
+        False,
+        "also write the trajectory for Damiao motors; {motor_type} alone does so, too",
+    )
     motor_type: tuple[str, ...] = option(
         (),
         "Damiao motor, one per joint, base first; motions keep its peak",
         "TYPE",
         repeats=True,
     )
+    joint_map: Optional[Path] = option(
+        None,
+        "how each joint's motor is mounted (see: motors map); the commands on motors that are "
+        "printed have it",
+        "FILE",
+    )
+
+    @property
+    def are_stated(self) -> bool:
+        """Whether motors are stated, so that the trajectory is written for them."""
+        return bool(self.motor_type)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -86,9 +100,9 @@ class MotorOptions(OptionRecord):
                 f"{option_name('export_damiao')} requires at least one "
                 f"{option_name('motor_type')}; state one per joint of the chain, base first"
             )
-        if self.motor_type and not self.export_damiao:
+        if self.joint_map is not None and not self.motor_type:
             raise InputError(
-                f"{option_name('motor_type')} requires {option_name('export_damiao')}"
+                f"{option_name('joint_map')} is about motors; add {option_name('motor_type')}"
             )
 
 
@@ -241,7 +255,7 @@ class MotionConfig(Config):
                 yield "--output-dir", path
         if path is not None and self.aim.purpose == SERVOS:
             yield option_name("for_", SERVOS), path.with_name(file_access.GOALS_NAME)
-        if self.motors.export_damiao:
+        if self.motors.are_stated:
             folder = self.output.output_dir
             yield "--output-dir", folder / file_access.DAMIAO_NAME
             yield "--output-dir", folder / file_access.DAMIAO_WEIGHT_NAME
@@ -257,6 +271,8 @@ class SelfTestConfig(MotionConfig):
         "friction_model",
         "priors",
         "keep",
+        # A plan prints commands on motors; a self-test does not.
+        "joint_map",
         *Config.left_out,
     )
 

@@ -69,7 +69,7 @@ REFUSED = {
     "a.xml --torques all": "argument --torques: invalid choice: 'all'",
     "a.xml --output-di a": "unrecognized arguments: --output-di a; --output-di: did you mean --ou",
     "a.xml --export-damiao": "--export-damiao requires at least one --motor-type; ",
-    "a.xml --motor-type DM4340": "--motor-type requires --export-damiao",
+    "plan a.xml --joint-map m.csv": "--joint-map is about motors; add --motor-type",
     "a.xml --trajectory b.json --duration 3": "--trajectory and --duration ex",
     "identify a.xml b.csv --friction-model glue": "unknown friction term",
     "identify a.xml b.csv --no-friction --friction-model coulomb": (

@@ -175,6 +175,15 @@ def test_no_result_of_an_earlier_run_stays_and_nothing_else_goes(robot, out):
     assert sorted(progress.notes) == sorted(notes)
 
 
+def test_the_motion_that_was_planned_for_motors_stays_to_be_played_again(robot, out):
+    motion = {"damiao_trajectory.csv": "rows", "damiao_trajectory_weight.csv": "rows"}
+    plan = {"trajectory.toml": 'path = "arm.xml"\nmotor_type = ["DM4340"]\n'}
+    write_files(out, {**motion, **plan, "report.html": "old"})
+    save_result(heavier(robot), out)
+    results = ["updated_model.xml", "params.json"]
+    assert names_in(out) == sorted([*motion, *plan, *results])
+
+
 @pytest.mark.parametrize("case", ["not trusted", "does not fit"])
 def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
     write_files(out, EARLIER)

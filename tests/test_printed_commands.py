@@ -13,6 +13,7 @@ the person knows, which the words above it ask for, and run.
 from __future__ import annotations
 
 import ast
+import contextlib
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -30,6 +31,7 @@ from rigs.files import urdf
 from rigs.logs import recorded, servo_logs
 from rigs.logs.log_files import write, write_signals
 from rigs.motors.damiao_rig import MotorBus
+from rigs.motors.person import Person
 from robot_sysid.commands import motors
 from robot_sysid.logs.ros_messages import STATE
 from robot_sysid.logs.suggestion import FILLINGS
@@ -240,7 +242,7 @@ def arm_with_motors() -> None:
 
 def motion_for_motors() -> None:
     arm_with_motors()
-    line = f"robot-sysid plan arm.xml {MOTORS} --export-damiao --output-dir planned"
+    line = f"robot-sysid plan arm.xml {MOTORS} --output-dir planned"
     code, output = run_here(line, is_hasty=True)
     assert code == 0, output
 
@@ -531,17 +533,12 @@ SITUATIONS = {
         has_motors=True,
     ),
     "rehearsed": Situation(
-        ("step: motion recorded",),
-        SIMULATED,
-        motion_for_motors,
-        ends="motors map",
-        has_motors=True,
+        ("step: motion recorded",), SIMULATED, motion_for_motors, has_motors=True
     ),
     "rehearsed on another model": Situation(
-        ("commands.motors.session --accept",),
+        ("commands.motors.following --accept",),
         f"{SIMULATED} --plant-model heavier.xml",
         motion_for_motors,
-        ends="motors map",
         has_motors=True,
     ),
     "motor changed": Situation(
@@ -637,7 +634,8 @@ class Follower:
     def __init__(self, situation: Situation, arm: Any) -> None:
         self._ends = situation.ends
         self._knows = situation.knows
-        equipment = MotorBus(watchdog=0.5, echo=True).equipment
+        self._bus = MotorBus(watchdog=0.5, echo=True)
+        equipment = self._bus.equipment
         self._commands = motors.commands_with(equipment) if situation.has_motors else ()
         self._walk = None if arm is None else Walk(arm)
         self._tried: set[str] = set()
@@ -648,9 +646,16 @@ class Follower:
         self._tried.add(line)
         if self._walk is not None:
             self._walk.record_missing(line)
-        step = Step(line, *run_here(line, self._commands, is_hasty=True))
+        with self._person():
+            step = Step(line, *run_here(line, self._commands, is_hasty=True))
         self.outputs += step.output
         return step
+
+    def _person(self) -> contextlib.AbstractContextManager[None]:
+        """Return the person beside the arm on the bus, where there is one."""
+        if not (self._commands and Path("arm.xml").exists()):
+            return contextlib.nullcontext()
+        return Person(self._bus, load_robot_model("arm.xml")).at_terminal()
 
     def lines_in(self, output: str) -> list[str]:
         """Return the commands of an output, as the person runs them."""

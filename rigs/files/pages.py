@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from string import Template
+from types import MappingProxyType
 
 import numpy as np
 
@@ -53,15 +55,39 @@ _TABLE_COMMAND = re.compile(r"^\|.*\| `(robot-sysid [^`]+)` \|", re.MULTILINE)
 _PRINTED = re.compile(
     r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
+_VARIABLE = re.compile(r'^([A-Z]+)="(.*?)".*$', re.MULTILINE)
 _EXIT_CODE = re.compile(r"# exit code (\d)")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
 
 
-def blocks(page: Path) -> list[tuple[str, str]]:
-    """Return (language, text) of a page's blocks that can be run, then of its tables' commands."""
-    text = page.read_text(encoding="utf-8")
+def blocks(
+    page: Path, variables: Mapping[str, str] = MappingProxyType({})
+) -> list[tuple[str, str]]:
+    """Return (language, text) of a page's blocks that can be run, then of its tables' commands.
+
+    A variable of the shell, which the page sets at the beginning of a line, is replaced by its
+    value, of those that ``variables`` has by the value there.
+    """
+    return blocks_of(page.read_text(encoding="utf-8"), variables)
+
+
+def blocks_of(text: str, variables: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Return the blocks of a page's text, or of a part of it, see ``blocks``."""
     in_tables = [("bash", command) for command in _TABLE_COMMAND.findall(text)]
-    return _BLOCK.findall(text) + in_tables
+    found = _BLOCK.findall(text) + in_tables
+    values = {
+        name: value
+        for language, block in found
+        if language == "bash"
+        for name, value in _VARIABLE.findall(block)
+    }
+    values.update(variables)
+    plain = []
+    for language, block in found:
+        if language == "bash":
+            block = Template(_VARIABLE.sub("", block)).safe_substitute(values)
+        plain.append((language, block))
+    return plain
 
 
 def command_lines(block: str) -> list[list[str]]:

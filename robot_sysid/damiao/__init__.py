@@ -22,7 +22,7 @@ from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.after_run import judge_run, recorded_plan
 from robot_sysid.damiao.checks.preflight import motor_ratings, require_playable
-from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.safety.holding import refuse_guessed_masses
 from robot_sysid.damiao.trajectory import export_damiao_trajectory
@@ -51,6 +51,9 @@ def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
     """Return the motors that options state, for plans; InputError where they do not fit the arm."""
     refuse_guessed_masses(robot)
     joints = damiao_joints(options.motor_type, robot.n_joints, robot.joint_names)
+    if options.joint_map is not None:
+        # One that lacks a joint is refused now, and not beside the arm.
+        map_joints(joints, read_joint_map(options.joint_map), robot.joint_names)
     frames = np.array([joint.spec.limits for joint in joints])
     _, vmax, tmax = frames.T
     ratings, _ = motor_ratings(joints)
@@ -89,10 +92,11 @@ def play(
     called in the main thread.
 
     Args:
-        trajectory: a file for motors, or a plan, made with ``export_damiao=True, motor_type=...``.
+        trajectory: a file for motors, or a plan, made with ``motor_type=...``.
         model: MJCF or URDF file of the arm, with which the motors are compared; by default the
             model of the plan, if ``trajectory`` is a plan.
-        joint_map: file that says how each joint's motor is mounted.
+        joint_map: file that says how each joint's motor is mounted; by default that of the plan, if
+            ``trajectory`` is a plan that was made with one.
         simulate: play on a simulated arm instead, in simulated time. It is as far from the model as
             arms usually are, or with ``plant_model`` exactly the arm of that file.
         say: called with a sentence for each thing that happens.
@@ -113,7 +117,9 @@ def play(
     if not simulate and options.get("plant_model") is not None:
         raise InputError("plant_model is about a simulated arm; add simulate=True")
     with _trajectory_options(trajectory) as values:
-        values.update(options, joint_map=joint_map)
+        values.update(options)
+        if joint_map is not None:
+            values["joint_map"] = joint_map
         if model is not None:
             from robot_sysid.api.calls import path_of
 
@@ -158,14 +164,15 @@ def _trajectory_options(
         yield {"trajectory": Path(trajectory)}
         return
     config = trajectory.config
-    if not config.motors.export_damiao:
+    if not config.motors.are_stated:
         raise InputError(
-            "the plan is for no motors; give rs.plan export_damiao and motor_type"
+            "the plan is for no motors; give rs.plan motor_type, one per joint"
         )
     with temporary_folder() as folder:
         trajectory.save(folder / "plan.json")
         yield {
             "trajectory": folder / DAMIAO_NAME,
             "model": config.model.path,
+            "joint_map": config.motors.joint_map,
             **given_values(config.model),
         }

@@ -122,6 +122,8 @@ def limits_agree(expected: Sequence[float], actual: Sequence[float]) -> bool:
 
 MASTER_ID_OFFSET = 0x10
 """Default difference between a motor's master id (of its replies) and its CAN id."""
+MAP_PATH = Path("joint_map.csv")
+"""Where a joint map is written unless another file is named."""
 BY_HAND = "hand"
 """``DamiaoJoint.verified`` of a joint that somebody turned by hand while its motor was read."""
 

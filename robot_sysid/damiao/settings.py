@@ -195,8 +195,7 @@ class PlaySettings(OptionRecord):
             InputError: a setting has neither one value nor one per motor.
         """
         rate = self.rate or default_rate(len(specs), timing)
-        rated_torque = np.array([spec.rated_torque for spec in specs])
-        stiffness = np.minimum(STIFFNESS_PER_TORQUE * rated_torque, KP_MAX)
+        stiffness = usual_stiffness(specs)
         damping = DAMPING_PER_STIFFNESS * stiffness
         least_damping = np.maximum(LEAST_DAMPING_SHARE * damping, LEAST_DAMPING)
         if mobility is not None:
@@ -229,6 +228,12 @@ class PlaySettings(OptionRecord):
         """Length of a control cycle [s]; ``rate`` must not be None."""
         assert self.rate is not None
         return 1.0 / self.rate
+
+
+def usual_stiffness(specs: Sequence[MotorSpec]) -> Array:
+    """Return the stiffness (n,) that motors of some types have by default [N m/rad]."""
+    rated_torque = np.array([spec.rated_torque for spec in specs])
+    return np.minimum(STIFFNESS_PER_TORQUE * rated_torque, KP_MAX)
 
 
 def slowing_in_a_cycle(period: float, kp: Array | float, kd: Array | float) -> Any:

@@ -110,7 +110,7 @@ def is_checked(config: MotionConfig) -> bool:
     options = config.trajectory
     limits = given_values(config.limits).keys() - {"max_velocity"}
     is_kept = options.save or options.file or isinstance(config, PlanConfig)
-    return bool(is_kept or limits or config.motors.export_damiao or is_designed(config))
+    return bool(is_kept or limits or config.motors.are_stated or is_designed(config))
 
 
 def is_designed(config: MotionConfig) -> bool:

@@ -76,11 +76,11 @@ def motor_package() -> Any:
 
 
 def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors | None:
-    """Return the motors of an arm; None where no option asks for an export.
+    """Return the motors of an arm; None where no option states any.
 
     InputError where the export is impossible for this arm.
     """
-    if not options.export_damiao:
+    if not options.are_stated:
         return None
     motors: ArmMotors = motor_package().arm_motors(options, robot)
     return motors

@@ -208,10 +208,12 @@ def _step_after(config: PlanConfig, motors: ArmMotors | None) -> NextStep:
     if motors is not None:
         given = given_values(config.limits)
         options = options_of_all(config.limits, only=motors.kept_options)
-        limits = command_arguments(given, options)
+        arguments = command_arguments(given, options)
+        mounting = options_of_all(config.motors, only=("joint_map",))
+        arguments += command_arguments(vars(config.motors), mounting)
         folder = config.output.output_dir
         words = {"folder": folder, "trajectory": folder / DAMIAO_NAME}
-        return step_after("motion planned for motors", values, *limits, **words)
+        return step_after("motion planned for motors", values, *arguments, **words)
     folder = config.plan_file.parent
     log = folder / "log.csv"
     if config.aim.purpose == SERVOS:

@@ -54,16 +54,14 @@ def test_a_simulated_arm_is_the_models_where_that_is_named(trajectory, model, tm
 @pytest.mark.slow
 def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, tmp_path):
     motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
-    plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)
+    plan = rs.plan(model, **motion, motor_type=["DM4340"] * 2)
     report = rs.motors.play(plan, simulate=True, rate=50)
     assert report.cycles == 31 and np.max(report.worst_tracking) < 0.1
     files = plan.save(tmp_path / "plan.json")
     assert files[2] == tmp_path / "damiao_trajectory.csv"
     assert rs.motors.play(files[2], model=model, simulate=True, rate=50).cycles == 31
     for_none = replace(plan, config=replace(plan.config, motors=MotorOptions()))
-    with pytest.raises(
-        rs.InputError, match="give rs.plan export_damiao and motor_type"
-    ):
+    with pytest.raises(rs.InputError, match="give rs.plan motor_type, one per joint"):
         rs.motors.play(for_none, simulate=True)
 
 

@@ -41,7 +41,9 @@ def test_a_bus_without_motors_is_said(motors, bus):
     for motor in bus.motors:
         motor.registers[Register.ESC_ID] = 20.0
     for command in (SETUP, f"{SETUP} --motor 1 --mit", "monitor --channel can0"):
-        assert "no motor answers: check power" in motors.fail(1, command)
+        error = motors.fail(1, command)
+        assert "no motor answers: check power" in error
+        assert "ip -details link show can0 says whether the bus lives" in error
 
 
 def test_setup_changes_what_it_is_told_and_says_what_was_there(motors, bus):

@@ -10,7 +10,8 @@ import pytest
 from rigs.arms import small_arms
 from rigs.arms.walk import in_haste
 from rigs.arms.wrong_arms import resting_torque
-from rigs.motors.damiao_rig import fault, trajectory_file
+from rigs.motors.damiao_rig import fault, map_line, trajectory_file
+from robot_sysid.damiao.joints import BY_HAND, write_joint_map
 from robot_sysid.damiao.protocol import Register
 
 SETUP = "setup --channel can0"
@@ -42,14 +43,16 @@ def run(motors, words, codes=(0,)):
     return out
 
 
-def still_trajectory(folder, n_joints=2):
+def still_trajectory(folder, n_joints=2, seconds=1.0):
     """Write a motion of as many joints that stand still at zero, with the torque of the model."""
     robot = small_arms.robot_of(MODEL)
     still = np.zeros((2, n_joints))
     gravity = resting_torque(robot, np.zeros((1, 2)), robot.thetas)[0]
     torque = still + np.resize(gravity, n_joints)
     folder.mkdir(exist_ok=True)
-    return trajectory_file(folder, (np.array([0.0, 1.0]), still, still, torque)).path
+    return trajectory_file(
+        folder, (np.array([0.0, seconds]), still, still, torque)
+    ).path
 
 
 def test_without_a_model_the_motors_are_watched(motors, bus, model):
@@ -98,7 +101,27 @@ def test_a_map_leads_to_a_plan_for_the_motors_of_the_joints(
     words = step_in(out)
     types = [word for flag, word in zip(words, words[1:]) if flag == "--motor-type"]
     assert types == ["DM8009", "DM4340"]
-    assert words[:2] == ["plan", str(model)] and "--export-damiao" in words
+    assert words[:2] == ["plan", str(model)]
+    assert words[words.index("--joint-map") + 1] == "joint_map.csv"
+
+
+@pytest.mark.slow
+def test_a_map_made_before_the_plan_is_in_every_line_until_the_arm_is_played(
+    motors, bus, model, tmp_path
+):
+    mapped = tmp_path / "mine.csv"
+    rows = [map_line(f"joint{k}", k + 1, 0x11 + k, 1, 0.0, BY_HAND) for k in range(2)]
+    write_joint_map(mapped, rows)
+    types = ["--motor-type", "DM4340"] * 2
+    plan = ["plan", str(model), *types, "--output-dir", "planned", "--joint-map"]
+    words = [*plan, "mine.csv"]
+    for command in ("simulate", "check", "play"):
+        words = step_in(run(motors, words))
+        assert words[:2] == ["motors", command]
+        assert words[words.index("--joint-map") + 1] == "mine.csv"
+    write_joint_map(mapped, rows[:1])
+    code, _, error = motors.run_program([*plan, "mine.csv"])
+    assert code == 2 and "the joint map has no line for joint1" in error
 
 
 @pytest.mark.parametrize("folder", [".", "planned", "sysid_output"])
@@ -109,6 +132,31 @@ def test_a_planned_motion_is_found_and_checked(motors, bus, model, tmp_path, fol
         assert words[:2] == ["motors", "check"]
         assert tmp_path / words[2] == path
         assert "ready to play" in run(motors, [*words, "--accept-directions"])
+
+
+@pytest.mark.slow
+def test_a_recording_that_is_not_kept_is_not_named(motors, model, tmp_path):
+    path = still_trajectory(tmp_path, seconds=6.0)
+    out = motors.succeed("simulate", path, "--rate 50 --model", model)
+    assert "does not show what the arm is: the arm is at rest" in out
+    assert "measured.csv" not in out
+
+
+@pytest.mark.slow
+def test_behind_a_rehearsal_motors_are_mapped_or_checked_by_the_map_that_is_there(
+    motors, model, tmp_path
+):
+    path = still_trajectory(tmp_path)
+    simulate = "simulate", path, "--rate 50 --model", model
+    words = step_in(motors.succeed(*simulate))
+    assert words[:2] == ["motors", "map"] and "can0" in words
+    rows = [map_line(f"joint{k}", 2 - k, 0x12 - k) for k in range(2)]
+    write_joint_map(tmp_path / "joint_map.csv", rows)
+    words = step_in(motors.succeed(*simulate))
+    assert words[:2] == ["motors", "check"]
+    assert words[words.index("--joint-map") + 1] == "joint_map.csv"
+    write_joint_map(tmp_path / "joint_map.csv", rows[:1])
+    assert step_in(motors.succeed(*simulate))[1] == "map"
 
 
 def test_the_motion_of_another_arm_is_not_proposed(motors, bus, model, tmp_path):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import threading
-import time
 
 import numpy as np
 import pytest
@@ -12,8 +10,7 @@ import pytest
 from rigs.arms import small_arms
 from rigs.arms.wrong_arms import resting_torque
 from rigs.motors.damiao_rig import fault, map_line, only_asks, trajectory_file
-from robot_sysid.commands.motors import limp
-from robot_sysid.commands.motors.stops import HELD_LOOKS
+from rigs.motors.person import wait_for_looks
 from robot_sysid.damiao.joints import BY_HAND, read_joint_map, write_joint_map
 from robot_sysid.damiao.protocol import ENABLED
 
@@ -23,16 +20,6 @@ MODEL = small_arms.serial_arm(
     (small_arms.Z, small_arms.Y), joint=f'range="{LOWER} {UPPER}"'
 )
 STOPS = LOWER, UPPER
-
-
-def wait_for_looks(bus):
-    """Wait until all motors were looked at often enough at the same angles, or are not any more."""
-    # Each look asks both motors; the first one may have begun before.
-    enough = len(bus.wire.sent) + 2 * (HELD_LOOKS + 2)
-    while len(bus.wire.sent) < enough:
-        if limp.FOLLOWER not in [thread.name for thread in threading.enumerate()]:
-            return
-        time.sleep(1e-3)
 
 
 @pytest.fixture

@@ -219,7 +219,32 @@ def test_a_simulated_arm_is_moved_and_the_printed_command_moves_the_real_one(
     out = motors.succeed(*shlex.split(line)[2:], "--yes")
     assert "moving to 2" in out
     step = out.splitlines()[-1]
-    assert step.startswith(f"  robot-sysid plan {model} --for arm --export-damiao")
+    assert step.startswith(f"  robot-sysid plan {model} --for arm --motor-type")
+
+
+@pytest.mark.slow
+def test_an_arm_that_stands_beside_its_goal_is_not_there_and_arrives_as_is_printed(
+    motors, arm_file, tmp_path, monkeypatch
+):
+    """Its masses are a third off, and it is soft: it sags by more than somebody overlooks."""
+    monkeypatch.chdir(tmp_path)
+    lighter = re.sub('mass="(.*?)"', lambda m: f'mass="{0.7 * float(m[1]):g}"', MODEL)
+    model = arm_file(lighter, "lighter.xml")
+    simulated = "--simulate --motor-type DM4340 --pose 0.3 0.1 --plant-model"
+    words = ("move --to 1 0.5 --kp 8 --rate 100", simulated, arm_file(MODEL))
+    code, out, _ = motors.run(*words, "--model", model)
+    *_, verdict, sentence, line = out.splitlines()
+    assert code == 1
+    found = re.fullmatch(
+        r"Not there: joint0 stands (0\.\d+) rad from 1 0.5; its stiffness of 8 N·m/rad makes (\S+) "
+        "N·m there, by which weight and friction differ from the model's, and all motors are "
+        "disabled",
+        verdict,
+    )
+    assert 0.05 < float(found[1]) < 0.3
+    assert float(found[2]) == pytest.approx(8.0 * float(found[1]), rel=0.1)
+    assert sentence == "Next, move it with the stiffness by motor type:"
+    assert "Done: moved to 1 0.5" in motors.succeed(*shlex.split(line)[2:])
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from tests.test_config import CONFIGS
 IDENTIFY = COMMANDS["identify"]
 MOST_OPTIONS = 32
 ARM = "an 'arm'.xml"
-MOTORS = ([ARM, "--export-damiao"], [ARM, "--motor-type", "DM4340"])
+MOTORS = ([ARM, "--motor-type", "DM4340"],)
 LOGS = [ARM, "--empty", "a.csv", "--loaded", "b.csv"]
 LOGS_OF_ARM = [ARM, "a 'b'.csv", "c.csv"]
 CONTEXTS = {

@@ -164,7 +164,7 @@ def test_a_wrong_gravity_is_named_with_its_sign_and_size(
     error = gravity(truth) - gravity(model)
     excess = np.sign(gravity(model)) * error
     assert float(size) == pytest.approx(excess[0], rel=0.15)
-    assert "robot-sysid plan" in test.out and "--for arm --export-damiao" in test.out
+    assert "robot-sysid plan" in test.out and "--for arm --motor-type" in test.out
     assert test.code == code
     # The bound, and what a joint needs to stop.
     assert np.all(test.moved < 0.2)

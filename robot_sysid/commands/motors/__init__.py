@@ -10,6 +10,11 @@ from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
+from robot_sysid.commands.motors.following import (
+    play_step,
+    step_at_arm,
+    steps_after_play,
+)
 from robot_sysid.commands.motors.holding import hold
 from robot_sysid.commands.motors.mapping import MapOptions, map_joints
 from robot_sysid.commands.motors.moving import move
@@ -19,8 +24,6 @@ from robot_sysid.commands.motors.session import (
     check_and_run,
     conclude_on_reports,
     findings,
-    play_step,
-    steps_after_play,
 )
 from robot_sysid.commands.motors.setup import (
     MonitorOptions,
@@ -31,7 +34,7 @@ from robot_sysid.commands.motors.setup import (
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.after_run import judge_run, recorded_plan
-from robot_sysid.damiao.checks.preflight import stops
+from robot_sysid.damiao.checks.preflight import direction_checks, stops
 from robot_sysid.damiao.execution import (
     COMPUTER,
     LIMIT_OPTIONS,
@@ -72,6 +75,10 @@ def check(session: Session) -> int:
     faults = len(stops(findings(session, plan, inspection)))
     if faults:
         session.verdict = (f"Not usable: {faults} to change before playing",)
+        is_mapped = session.options.files.joint_map is not None
+        unverified = stops([*direction_checks(plan, session.holding(plan))])
+        if inspection is not None and not is_mapped and unverified:
+            session.conclude(*session.verdict, step_at_arm(session))
         return 1
     session.conclude("Usable: ready to play", play_step(session, plan))
     return 0

@@ -21,6 +21,7 @@ from robot_sysid.commands.motors.session import Session, ask
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.joints import (
     BY_HAND,
+    MAP_PATH,
     DamiaoJoint,
     read_joint_map,
     write_joint_map,
@@ -52,7 +53,7 @@ _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 class MapOptions(OptionRecord):
     """The file that ``motors map`` writes, and where its zeros come from."""
 
-    output: Path = option(Path("joint_map.csv"), "where to write the map", "FILE")
+    output: Path = option(MAP_PATH, "where to write the map", "FILE")
     zeros_at_stops: bool = option(
         False,
         "zeros from both end stops of each joint, in place of the model's own pose",

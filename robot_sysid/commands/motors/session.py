@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,14 +32,9 @@ from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_te
 from robot_sysid.damiao.references import Activity
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.pipeline.next_steps import step_with_motion
-from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import OptionRecord, command_arguments, option
 
-FIRST_SPEED = 0.3
-"""Share of the planned speed at which a motion is played first: someone who watches has the time to
-stop the arm."""
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
 
@@ -322,67 +316,3 @@ def check_and_run(
         *run_health(report, joints),
     )
     return report
-
-
-def play_step(session: Session, plan: Plan) -> NextStep:
-    """Return the step that plays a plan's trajectory, slowly unless a speed was given.
-
-    Options that were not given get the usual channel, a low speed and a recording beside the
-    trajectory.
-    """
-    options = {
-        "channel": USUAL_CHANNEL,
-        "speed": FIRST_SPEED,
-        "record": plan.trajectory.path.with_name("slow.csv"),
-        **session.options.given,
-    }
-    sentence = "Next, play it slowly"
-    if session.options.address.channel is None:
-        sentence += f", on the arm at {USUAL_CHANNEL} (change --channel for another)"
-    return session.step_to("play", sentence, **options)
-
-
-def steps_after_play(session: Session, plan: Plan, is_real: bool) -> list[NextStep]:
-    """Return the steps after a trajectory was played: identify from the recording, or play again.
-
-    Behind a simulated arm real motors are checked. That of another model may have no friction: its
-    torque then looks computed, which ``identify`` has to accept. Of one that is exactly as its
-    model nothing is to be found.
-    """
-    folder = plan.trajectory.path.parent
-    planned = plan_settings(folder)
-    purpose = planned.get("for_", "")
-    record = plan.recording.record
-    log = record or folder / "measured.csv"
-    is_fast = record is not None and plan.settings.speed >= 1.0
-    model = session.options.files.model
-    values = {"path": "arm.xml", **planned}
-    if model:
-        values = {**session.options.given, "path": model}
-    results = log.parent if planned and is_real else log.with_suffix("")
-    if is_real and not is_fast and purpose != "payload":
-        sentence = "Next, play it at full speed and record it, to identify from"
-        log = folder / "measured.csv"
-        return [session.step_to("play", sentence, speed=None, record=log)]
-    if is_real:
-        return [step_with_motion("motion recorded", purpose, values, results, log)]
-    check = session.step_to(
-        "check",
-        "Next, with the arm connected, check its motors",
-        speed=None,
-        record=None,
-        overwrite=None,
-        channel=session.options.address.channel or USUAL_CHANNEL,
-    )
-    plant = session.options.plant.plant_model
-    is_model = plant is not None and plant.absolute() == Path(values["path"]).absolute()
-    if not is_fast or is_model:
-        return [check]
-    # From one recording no payload is weighed.
-    purpose = purpose.replace("payload", "")
-    identify = step_with_motion("motion recorded", purpose, values, results, log)
-    sentence = "Next, identify the simulated arm from it, to see what the motion tells"
-    words = identify.command
-    if not session.simulates_usual_arm:
-        words = *words, "--accept", "computed"
-    return [NextStep(sentence, words), check]

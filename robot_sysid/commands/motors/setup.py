@@ -16,6 +16,7 @@ import numpy as np
 
 from robot_sysid.commands.motors.following import step_with_motors
 from robot_sysid.commands.motors.session import Session, motor_table
+from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import (
     GuardedLink,
     InspectedMotor,
@@ -75,7 +76,13 @@ def list_motors(session: Session, link: GuardedLink) -> Mapping[int, InspectedMo
     """Return the motors on a bus by CAN ids, and print them; SysidError where none answers."""
     motors = inspect_bus(link).motors
     if not motors:
-        raise SysidError("no motor answers: check power, wiring and bit rate")
+        address = session.options.address
+        hint = ""
+        if address.interface == BusAddress.interface:
+            hint = (
+                f"; ip -details link show {address.channel} says whether the bus lives"
+            )
+        raise SysidError(f"no motor answers: check power, wiring and bit rate{hint}")
     session.console.stage(*motor_table(motors.values()))
     return motors
 

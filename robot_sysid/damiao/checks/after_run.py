@@ -140,7 +140,9 @@ def judge_run(plan: Plan, model: Path | None, options: ModelOptions) -> RunFindi
         if model is not None:
             return _beside_model(path, model, options)
     except SysidError as error:
-        return RunFindings((f"the recording does not show what the arm is: {error}",))
+        # A temporary recording is gone when this is read.
+        reason = str(error).replace(f"{path}: ", "")
+        return RunFindings((f"the recording does not show what the arm is: {reason}",))
     except Exception as error:
         # Nothing that happens here may hide how the run ended.
         return RunFindings(

@@ -24,7 +24,13 @@ from robot_sysid.damiao.joints import (
 )
 from robot_sysid.damiao.safety.holding import HoldingTorque
 from robot_sysid.damiao.session import REPLY_SHARE
-from robot_sysid.damiao.settings import OVERSHOOT, Plan, joint_positions
+from robot_sysid.damiao.settings import (
+    LEAST_STIFFNESS,
+    OVERSHOOT,
+    Plan,
+    joint_positions,
+    usual_stiffness,
+)
 from robot_sysid.damiao.trajectory import ROUNDING, DamiaoTrajectory
 from robot_sysid.damiao.weight_file import weight_path
 from robot_sysid.errors import HardwareAbort
@@ -208,11 +214,21 @@ def stiffness_checks(plan: Plan) -> Iterator[Remark]:
     # What a motor's frames can carry is the most there is to recommend.
     enough = swing / np.array(plan.settings.tracking) + slope
     enough = np.ceil(np.minimum(enough, protocol.KP_MAX))
+    # Enough is what is not stopped; the arm sags by half of what it may swing.
+    sag = plan.usual_excess / np.maximum(enough - slope, LEAST_STIFFNESS)
+    usual = usual_stiffness([joint.spec for joint in joints])
+    key = option_name("kp")
+    remedies = [
+        f"{key} of {kp:g} lets it sag by {angle:.2g} rad"
+        for kp, angle in zip(enough, sag)
+    ]
+    for j in np.flatnonzero(usual > enough):
+        remedies[j] += f", and without {key} it has {usual[j]:g}"
     for j in np.flatnonzero(topples):
         yield stop(
             f"{joints[j].label}: with a stiffness of {stiffness[j]:g} N·m/rad it topples: as it "
-            f"sinks, its weight grows by {slope[j]:.0f} N·m per radian by the model; use "
-            f"{option_name('kp')} of {enough[j]:g}"
+            f"sinks, its weight grows by {slope[j]:.0f} N·m per radian by the model; "
+            f"{remedies[j]}"
         )
     is_low = (stiffness < enough) & (stiffness < protocol.KP_MAX) & ~topples
     for j in np.flatnonzero(is_low):
@@ -220,7 +236,7 @@ def stiffness_checks(plan: Plan) -> Iterator[Remark]:
             f"{joints[j].label}: with a stiffness of {stiffness[j]:g} N·m/rad it may swing by more "
             f"than {plan.settings.tracking[j]:.2g} rad where the arm's weight is as far from the "
             "model's as it usually is, and is stopped then; "
-            f"{option_name('kp')} of {enough[j]:g} prevents that"
+            f"{remedies[j]}"
         )
 
 
