@@ -68,8 +68,10 @@ ACCUSED = "accused"
 def result_of(options: RunOptions, folder: Path) -> tuple[RunOptions, str, str]:
     """Play once; return how, how it ended, and the message."""
     run: Run = run_arm(options, folder)
-    is_accused = run.exit == COMPLETED and run.code != 0
-    return options, ACCUSED if is_accused else run.exit, run.message
+    if run.exit == COMPLETED and run.code != 0:
+        # The last line is the verdict; before it stands what the recording says.
+        return options, ACCUSED, run.lines[-2]
+    return options, run.exit, run.message
 
 
 def print_line(arm: str, speed: float, results: list, seconds: float) -> Counter:

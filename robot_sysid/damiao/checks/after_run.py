@@ -248,6 +248,8 @@ def _of_velocity(
         signals: of the joint, (N,) each.
         step: in which its motor reports velocity [rad/s].
         slowed: by how much its mean speed may exceed the sampled one, see ``slowing_in_a_cycle``.
+            A velocity that is older than its frame may exceed the mean as much: it is that after
+            the step which the command has made, and not that before the next one.
     """
     time = signals["time"]
     position = signals["pos"] - np.mean(signals["pos"])
@@ -263,5 +265,5 @@ def _of_velocity(
         (integral, signals["vel"], time - time[0], np.ones_like(time))
     )
     factors, *_ = np.linalg.lstsq(track, signals["pos"], rcond=None)
-    if not 1.0 - _LEAST_RATIO <= factors[0] <= slowed + _LEAST_RATIO:
+    if not 1.0 / slowed - _LEAST_RATIO <= factors[0] <= slowed + _LEAST_RATIO:
         yield (f"its positions move by {factors[0]:.2f} times what its velocities say")
