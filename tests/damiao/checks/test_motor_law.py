@@ -11,7 +11,7 @@ PERIOD = 0.004
 KP = 60.0
 KD = 1.5
 AGES = {"position": 0.7, "velocity": 1.6}
-"""How much older than those of its row the position and velocity are that made a torque [cycles]."""
+"""How much older than in its row the position and velocity are that made a torque [cycles]."""
 
 
 def signals_of(factors, rng, n_rows=2000):
