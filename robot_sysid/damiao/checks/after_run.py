@@ -18,11 +18,15 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.damiao.checks.motor_law import PARTS, MotorRows, estimate_factors
+from robot_sysid.damiao.checks.motor_law import (
+    PARTS,
+    MotorRows,
+    MotorSteps,
+    estimate_factors,
+)
 from robot_sysid.damiao.settings import Plan, slowing_in_a_cycle
 from robot_sysid.errors import SysidError, error_text
 from robot_sysid.model import OF_LOG, ModelOptions
@@ -37,8 +41,6 @@ from robot_sysid.records.option_fields import given_values
 _TOLERANCES = np.array([0.15, 0.15, 0.5])
 # Least share of a joint's torque that a part makes where its factor is judged.
 _LEAST_SHARE = 0.03
-# Variance of an error that is uniform within a step, over the square of the step.
-_STEP_VARIANCE = 1.0 / 12.0
 # Factor of velocities from which on they are not those of the positions, as in
 # ``faults.samples``: a low-pass of 3 Hz takes 3 %, steps of the velocity another few.
 _LEAST_RATIO = 0.1
@@ -60,14 +62,6 @@ POSITION_CODES = 65535
 VELOCITY_CODES = 4095
 TORQUE_CODES = 4095
 _TEMPORARY_NAME = "measured.csv"
-
-
-class _Steps(NamedTuple):
-    """Steps in which a motor reports position [rad], velocity [rad/s] and torque [N m]."""
-
-    position: float = 0.0
-    velocity: float = 0.0
-    torque: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -176,7 +170,7 @@ def contradictions(path: Path, labels: Sequence[str]) -> list[str]:
         rows = MotorRows.of(signals, kp, kd)
         if len(rows.signals["time"]) < _LEAST_ROWS:
             continue
-        own = steps.get(number, _Steps())
+        own = steps.get(number, MotorSteps())
         sentences += [f"{label}: {text}" for text in _of_torque(rows, own)]
         slowed = slowing_in_a_cycle(rows.period, kp, kd)
         of_velocity = _of_velocity(rows.signals, own.velocity, slowed)
@@ -186,14 +180,14 @@ def contradictions(path: Path, labels: Sequence[str]) -> list[str]:
 
 def _read_recording(
     path: Path,
-) -> tuple[dict[str, list[float]], dict[int, _Steps], dict[str, Array]]:
+) -> tuple[dict[str, list[float]], dict[int, MotorSteps], dict[str, Array]]:
     """Return what a recording holds.
 
     These are the gains kp and kd (n,) in its head, by number of a joint the steps in which its
     motor reports, and the columns (N,) by title.
     """
     gains: dict[str, list[float]] = {"kp": [], "kd": []}
-    steps: dict[int, _Steps] = {}
+    steps: dict[int, MotorSteps] = {}
     titles: list[str] = []
     rows: list[list[float]] = []
     for line in path.read_text(encoding="utf-8").splitlines():
@@ -204,7 +198,7 @@ def _read_recording(
             match = _REGISTERS.match(line)
             if match:
                 number, position, velocity, torque = match.groups()
-                steps[int(number)] = _Steps(
+                steps[int(number)] = MotorSteps(
                     2.0 * float(position) / POSITION_CODES,
                     2.0 * float(velocity) / VELOCITY_CODES,
                     2.0 * float(torque) / TORQUE_CODES,
@@ -217,7 +211,7 @@ def _read_recording(
     return gains, steps, dict(zip(titles, table.T))
 
 
-def _of_torque(rows: MotorRows, steps: _Steps) -> Iterator[str]:
+def _of_torque(rows: MotorRows, steps: MotorSteps) -> Iterator[str]:
     """Yield where a joint's reported torque is not that of its commands and its state."""
     if np.count_nonzero(rows.is_judged) < _LEAST_ROWS:
         return
@@ -226,9 +220,7 @@ def _of_torque(rows: MotorRows, steps: _Steps) -> Iterator[str]:
     is_judged = variances > _LEAST_SHARE**2 * total
     if not np.any(is_judged):
         return
-    rounded = steps.torque, rows.kp * steps.position, rows.kd * steps.velocity
-    rounding = _STEP_VARIANCE * float(np.sum(np.square(rounded)))
-    factors, errors = estimate_factors(rows, rounding)
+    factors, errors = estimate_factors(rows, steps)
     off = np.abs(factors - 1.0) - _TOLERANCES - SURE * errors
     if np.max(off[is_judged]) > 0.0:
         listed = ", ".join(

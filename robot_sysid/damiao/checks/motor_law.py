@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,9 +34,10 @@ from robot_sysid.records import Array
 PARTS = ("feed-forward torque", "stiffness kp", "damping kd")
 """Parts of the law, in the order of their factors."""
 _MEASURED = ("time", "pos", "vel", "tau")
-# Standard deviations of what is not known before: factors may be anything, an age two cycles.
+# Standard deviations of what is not known before: factors may be anything; ages are 0 to 2 cycles,
+# and differences of two of them -2 to 2, with a standard deviation of 0.8.
 _FACTOR_ERROR = 1.0
-_AGE_CYCLES = 2.0
+_AGE_CYCLES = 1.0
 # Ages within which columns are linearised, in cycles: of the command, which is in force from the
 # row before on, and of position and velocity, which may be older than the torque, or younger.
 _YOUNGEST = np.array([0.0, -2.0, -2.0])
@@ -49,13 +51,24 @@ _LONGEST_STEP = 1.5
 _APART = 1.5
 # Rows around a judged one that have to be answered, on each side: as far as ages and ``_APART`` go.
 _MARGIN = 4
-# Share of the rounding that is in proportion to a part, instead of noise: the signals of a slow run
-# stay within one step for many rows.
-_ROUNDING_SHARE = 0.2
+# Variance of an error that is uniform within a step, over the square of the step.
+_STEP_VARIANCE = 1.0 / 12.0
+# Least share of a recording in which rounding is alike. What a joint does within a cycle is not
+# quite in proportion to the command's step, and what is left is no noise either. It is smaller than
+# the steps, so that it counts for parts that are as small.
+_LEAST_MEMORY = 0.015
 # Torque of the last digit in a recording [N m].
 _LAST_DIGIT = 1e-6
 # Share of a recording over which residuals may be alike.
 _LONGEST_MEMORY = 0.25
+
+
+class MotorSteps(NamedTuple):
+    """Steps in which a motor reports position [rad], velocity [rad/s] and torque [N m]."""
+
+    position: float = 0.0
+    velocity: float = 0.0
+    torque: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -90,10 +103,9 @@ class MotorRows:
         # Before the first row and behind the last one, too.
         breaks = np.flatnonzero(np.concatenate(([True], is_broken, [True])))
         rows = np.arange(len(numbers))
-        n_before = rows - breaks[np.searchsorted(breaks, rows, "right") - 1]
-        n_behind = (
-            breaks[np.searchsorted(breaks, rows, "right") % len(breaks)] - 1 - rows
-        )
+        following = np.searchsorted(breaks, rows, "right")
+        n_before = rows - breaks[following - 1]
+        n_behind = breaks[following] - 1 - rows
         is_judged = np.minimum(n_before, n_behind) >= _MARGIN
         return cls(signals, kp, kd, period, is_judged)
 
@@ -101,6 +113,26 @@ class MotorRows:
     def reported_torque(self) -> Array:
         """Torque that the motor reported in judged rows; recorded is the mean of held commands."""
         return (self.signals["tau"] - self.signals["cmd_mean"])[self.is_judged]
+
+    def rounding_density(self, steps: MotorSteps) -> float:
+        """Return the variance of the torque by rounding, times the rows in which it is alike.
+
+        A signal is rounded alike for as many rows as it stays within a step: in a slow run for
+        many, and then rounding is no noise that averages out.
+        """
+        density = 0.0
+        signals = (
+            ("pos", steps.position, self.kp),
+            ("vel", steps.velocity, self.kd),
+            ("tau", steps.torque, 1.0),
+        )
+        for name, step, gain in signals:
+            values = self.signals[name][self.is_judged]
+            path = float(np.sum(np.abs(np.diff(values))))
+            memory = max(step / path if path > step else 1.0, _LEAST_MEMORY)
+            variance = _STEP_VARIANCE * (gain * step) ** 2
+            density += variance * memory * len(values)
+        return density
 
     def _earlier(self, name: str, age: float) -> Array:
         """Return a signal of judged rows at an age [s]."""
@@ -162,14 +194,14 @@ class MotorRows:
         )
 
 
-def estimate_factors(rows: MotorRows, rounding: float) -> tuple[Array, Array]:
+def estimate_factors(rows: MotorRows, steps: MotorSteps) -> tuple[Array, Array]:
     """Return the factors (3,) of ``PARTS`` in the reported torque, and their standard errors.
 
     The errors contain what the ages leave open.
 
     Args:
         rows: of the joint.
-        rounding: variance of the torque by the steps in which the motor reports [N^2 m^2].
+        steps: in which its motor reports.
     """
     reported = rows.reported_torque - np.mean(rows.reported_torque)
     n_factors = len(PARTS)
@@ -177,6 +209,7 @@ def estimate_factors(rows: MotorRows, rounding: float) -> tuple[Array, Array]:
     prior_error[n_factors:] = _AGE_CYCLES * rows.period
     estimate = np.repeat((1.0, 0.0), n_factors)
     covariance = np.diag(prior_error**2)
+    rounding = rows.rounding_density(steps)
     for _ in range(_ITERATIONS):
         ages = estimate[n_factors:]
         around = np.clip(ages, _YOUNGEST * rows.period, _OLDEST * rows.period)
@@ -190,7 +223,7 @@ def estimate_factors(rows: MotorRows, rounding: float) -> tuple[Array, Array]:
         predicted = _project(columns, instruments)
         residual = reported - columns @ (estimate - shift)
         noise = _noise_density(residual) + _LAST_DIGIT**2
-        noise += len(reported) * _ROUNDING_SHARE**2 * rounding
+        noise += rounding
         precision = predicted.T @ predicted / noise + np.diag(prior_error**-2)
         covariance = np.linalg.inv(precision)
         right = predicted.T @ reported / noise + prior / prior_error**2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.checks.motor_law import MotorRows, estimate_factors
+from robot_sysid.damiao.checks.motor_law import MotorRows, MotorSteps, estimate_factors
 
 PERIOD = 0.004
 KP = 60.0
@@ -54,7 +54,7 @@ def test_factors_are_found_within_their_errors_whatever_the_ages_are(seed):
     rng = np.random.default_rng(seed)
     factors = rng.uniform(0.0, 1.5, 3)
     rows = MotorRows.of(signals_of(factors, rng), KP, KD)
-    estimate, errors = estimate_factors(rows, 0.0)
+    estimate, errors = estimate_factors(rows, MotorSteps())
     assert np.all(np.abs(estimate - factors) < 4.0 * errors + 0.01)
     assert np.all(errors < [0.05, 0.05, 0.2])
 
