@@ -4,6 +4,8 @@ Run from the checkout:
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.motors.sound_arms
     ... --runs 2 --arms kinova fr3 --speeds 0.2 1 --jobs 2
     ... --runs 40 --first 10               # other draws
+    ... --loss 0.5                         # percent of commands, and of answers, that never arrive
+    ... --arms my_arm.xml two_arms.xml:left_wrist    # any file, with its terminal joint
     ... --each                             # a line per run, too
 
 A planned motion is exported once per arm, and played as ``motors play`` does, in simulated time,
@@ -34,6 +36,7 @@ from rigs.motors.sound_runs import (
     SOUND_ARMS,
     Run,
     RunOptions,
+    arm_named,
     draw_options,
     planned_motion,
     run_arm,
@@ -46,11 +49,16 @@ DURATION = 4.0
 
 
 def options_of(
-    arm: str, folder: Path, speed: float, seeds: range, models: tuple[bool, ...]
+    arm: str,
+    folder: Path,
+    speed: float,
+    seeds: range,
+    models: tuple[bool, ...],
+    lost: float,
 ) -> Iterator[RunOptions]:
-    """Yield how an arm is played at a speed."""
+    """Yield how an arm is played at a speed, with a share of frames that are lost."""
     for seed, has_model in itertools.product(seeds, models):
-        yield draw_options(arm, folder, seed, speed, has_model, DURATION)
+        yield draw_options(arm, folder, seed, speed, has_model, DURATION, lost)
 
 
 ACCUSED = "accused"
@@ -60,8 +68,10 @@ ACCUSED = "accused"
 def result_of(options: RunOptions, folder: Path) -> tuple[RunOptions, str, str]:
     """Play once; return how, how it ended, and the message."""
     run: Run = run_arm(options, folder)
-    is_accused = run.exit == COMPLETED and run.code != 0
-    return options, ACCUSED if is_accused else run.exit, run.message
+    if run.exit == COMPLETED and run.code != 0:
+        # The last line is the verdict; before it stands what the recording says.
+        return options, ACCUSED, run.lines[-2]
+    return options, run.exit, run.message
 
 
 def print_line(arm: str, speed: float, results: list, seconds: float) -> Counter:
@@ -72,8 +82,8 @@ def print_line(arm: str, speed: float, results: list, seconds: float) -> Counter
     text = "; ".join(f"{count}x {message}" for message, count in words)
     cost = seconds / len(results)
     print(
-        f"{arm:14s} {speed:4g}  stopped {n_stopped(endings):2d}, accused {endings[ACCUSED]:2d} "
-        f"of {len(results):2d}  [{cost:.1f} s per run]  {text}",
+        f"{Path(arm).stem:14s} {speed:4g}  stopped {n_stopped(endings):2d}, "
+        f"accused {endings[ACCUSED]:2d} of {len(results):2d}  [{cost:.1f} s per run]  {text}",
         flush=True,
     )
     return endings
@@ -89,7 +99,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--arms", nargs="+", choices=SOUND_ARMS, default=[*SOUND_ARMS])
+    parser.add_argument(
+        "--arms", nargs="+", default=[*SOUND_ARMS], help="names, or FILE or FILE:JOINT"
+    )
+    parser.add_argument("--loss", type=float, default=0.0, help="percent of frames")
     parser.add_argument("--speeds", nargs="+", type=float, default=SPEEDS)
     parser.add_argument("--runs", type=int, default=RUNS, help="draws per line")
     parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
@@ -97,7 +110,7 @@ def main() -> int:
     parser.add_argument("--each", action="store_true", help="a line per run, too")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.runs)
-    arms = [arm for arm in arguments.arms if SOUND_ARMS[arm].is_at_hand]
+    arms = [arm for arm in arguments.arms if arm_named(arm).is_at_hand]
     endings: Counter = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -106,7 +119,9 @@ def main() -> int:
         with multiprocessing.Pool(arguments.jobs) as pool:
             for arm, speed in itertools.product(arms, arguments.speeds):
                 begun = time.monotonic()
-                cases = options_of(arm, folder, speed, seeds, MODELS[arguments.model])
+                models = MODELS[arguments.model]
+                lost = arguments.loss / 100.0
+                cases = options_of(arm, folder, speed, seeds, models, lost)
                 results = []
                 for result in pool.imap(partial(result_of, folder=folder), cases):
                     results.append(result)

@@ -9,8 +9,12 @@ Units are those of the output shaft: rad, rad/s, N m, s.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
 
 from robot_sysid.damiao.bus import SimulatedClock
 from robot_sysid.damiao.protocol import CanFrame
@@ -118,6 +122,10 @@ def unpack_feedback(data, limits):
     )
 
 
+HISTORY = 0.2
+"""How long a motor remembers its state and its commands [s]: more than any answer is old."""
+
+
 class OwnMotor:
     """A motor at a joint: its registers, its state, its law, and what is wrong with it.
 
@@ -136,11 +144,17 @@ class OwnMotor:
         encoder_scale: what the encoder shows over what is true.
         torque_share: real torque over what its law asks for.
         torque_reading: torque in answers over what its law asks for.
-        ignores_kp, ignores_kd: whether its law leaves that gain out.
+        kp_share, kd_share: gains of its law over the commanded ones.
         true_torque_limit: the TMAX by which it really reads and packs; None for the register's.
         odd_status, odd_every: a status that every so many-th answer has while it drives on.
         gap: width of the backlash between motor and link [rad].
         gap_position, gap_velocity: of the motor against the link, from the middle of the gap.
+        torque_age, velocity_age, position_age: of what answers report, by its own clock [s].
+        velocity_lag: time constant of the low-pass of reported velocities [s]; its own loop does
+            without.
+        torque_noise, velocity_noise: standard deviations of what is reported [N m, rad/s]; its own
+            loop sees none of it.
+        rng: draws that noise.
     """
 
     temperatures = (34, 31)
@@ -173,14 +187,24 @@ class OwnMotor:
         self.encoder_scale = 1.0
         self.torque_share = 1.0
         self.torque_reading = 1.0
-        self.ignores_kp = False
-        self.ignores_kd = False
+        self.kp_share = 1.0
+        self.kd_share = 1.0
         self.true_torque_limit = None
         self.odd_status = ON
         self.odd_every = 0
         self.gap = 0.0
         self.gap_position = 0.0
         self.gap_velocity = 0.0
+        self.torque_age = 0.0
+        self.velocity_age = 0.0
+        self.position_age = 0.0
+        self.velocity_lag = 0.0
+        self.torque_noise = 0.0
+        self.velocity_noise = 0.0
+        self.rng = np.random.default_rng(can_id)
+        # Time, position, velocity and low-passed velocity by the encoder, and (time, command).
+        self._states = deque()
+        self._commands = deque([(-math.inf, self.command)])
 
     @property
     def is_driving(self):
@@ -191,6 +215,7 @@ class OwnMotor:
         """Leave the enabled state with a status."""
         self.status = status
         self.command = (0.0,) * 5
+        self._commands = deque([(-math.inf, self.command)])
 
     def restart(self, time, duration):
         """Start again at ``time``, silent and without torque so long, and then disabled."""
@@ -215,36 +240,91 @@ class OwnMotor:
 
     def gains(self):
         """Return stiffness and damping of its law."""
-        kp = 0.0 if self.ignores_kp else self.command[2]
-        kd = 0.0 if self.ignores_kd else self.command[3]
-        return kp, kd
+        return self.kp_share * self.command[2], self.kd_share * self.command[3]
 
     def asked_torque(self):
         """Return what its law asks for, limited to the peak; 0 where it is not enabled."""
         if self.status != ON:
             return 0.0
-        position, velocity = self.encoder()
-        kp, kd = self.gains()
-        target, target_velocity, _, _, torque = self.command
+        return self._law(self.command, *self.encoder())
+
+    def _law(self, command, position, velocity):
+        target, target_velocity, kp, kd, torque = command
+        kp *= self.kp_share
+        kd *= self.kd_share
         torque += kp * (target - position) + kd * (target_velocity - velocity)
         return min(max(torque, -self.peak_torque), self.peak_torque)
+
+    def remember(self, time, step):
+        """Store the state at ``time``, which comes again every ``step`` [s]."""
+        if not (
+            self.torque_age
+            or self.velocity_age
+            or self.position_age
+            or self.velocity_lag
+        ):
+            return
+        position, velocity = self.encoder()
+        states = self._states
+        smooth = velocity
+        if states and self.velocity_lag:
+            share = -math.expm1(-step / self.velocity_lag)
+            smooth = states[-1][3] + share * (velocity - states[-1][3])
+        states.append((time, position, velocity, smooth))
+        if time - states[0][0] > HISTORY:
+            states.popleft()
+
+    def _state_at(self, moment):
+        """Return position, velocity and low-passed velocity at a moment, or the oldest ones."""
+        newer = (state for state in reversed(self._states) if state[0] <= moment)
+        time, position, velocity, smooth = next(newer, self._states[0])
+        ahead = max(moment - time, 0.0)
+        return position + ahead * velocity, velocity, smooth
+
+    def _command_at(self, moment):
+        for begin, command in reversed(self._commands):
+            if begin <= moment:
+                return command
+        return self._commands[0][1]
+
+    def _measured(self, time):
+        """Return position, velocity and torque as it would report them at ``time``."""
+        if not self._states:
+            position, velocity = self.encoder()
+            torque = self.asked_torque()
+        else:
+            position = self._state_at(time - self.position_age)[0]
+            velocity = self._state_at(time - self.velocity_age)[2]
+            moment = time - self.torque_age
+            command = self._command_at(moment)
+            torque = self._law(command, *self._state_at(moment)[:2])
+            torque = torque if self.status == ON else 0.0
+        torque *= self.torque_reading
+        if self.torque_noise:
+            torque += self.torque_noise * self.rng.standard_normal()
+        if self.velocity_noise:
+            velocity += self.velocity_noise * self.rng.standard_normal()
+        return position + self.report_shift, velocity, torque
 
     def answer(self, frame_id, data, time):
         """Return the 8 bytes with which it answers a frame, or None."""
         if time < self.silent_until or len(data) < 4:
             return None
         if frame_id == REGISTER_ID:
-            return self._register_answer(data)
+            return self._register_answer(data, time)
         if frame_id & 0xFF != self.can_id & 0xFF or len(data) != 8:
             return None
         self.heard_at = time
         if data[:7] == SPECIAL_HEAD:
             self._obey_special(data[7])
-            return self._feedback()
+            return self._feedback(time)
         # The answer is the state before the command acts.
-        answer = self._feedback()
+        answer = self._feedback(time)
         if self.status == ON and self.registers[CONTROL_MODE] == MIT_MODE:
             self.command = unpack_command(data, self._frame_limits())
+            self._commands.append((time, self.command))
+            if time - self._commands[0][0] > HISTORY:
+                self._commands.popleft()
         return answer
 
     def _frame_limits(self):
@@ -262,29 +342,46 @@ class OwnMotor:
         elif code == ZERO:
             self.encoder_shift -= self.encoder()[0]
 
-    def _register_answer(self, data):
+    def _register_answer(self, data, time):
         if data[0] | data[1] << 8 != self.can_id:
             return None
         operation = data[2]
         number = data[3]
         if operation == REFRESH:
-            return self._feedback()
+            return self._feedback(time)
         if operation != READ or number not in self.registers:
             return None
         value = self.registers[number]
         is_float = FIRST_LIMIT <= number <= LAST_LIMIT
         return data[:4] + struct.pack("<f" if is_float else "<I", value)
 
-    def _feedback(self):
-        position, velocity = self.encoder()
-        torque = self.torque_reading * self.asked_torque()
+    def _feedback(self, time):
         status = self.status
         self.n_answers += 1
         if self.odd_every and status == ON and self.n_answers % self.odd_every == 0:
             status = self.odd_status
-        measured = position + self.report_shift, velocity, torque
         limits = self._frame_limits()
+        measured = self._measured(time)
         return pack_feedback(status, self.can_id, measured, self.temperatures, limits)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What a sound bus with its adapter does to frames of a run now and then.
+
+    Attributes:
+        lost: share of commands, and of answers, that never arrive.
+        late: share of answers that the adapter hands over later, by ``delay`` [s].
+        doubled: share of answers that come twice.
+        delay: of late answers [s].
+        seed: draws which ones.
+    """
+
+    lost: float = 0.0
+    late: float = 0.0
+    doubled: float = 0.0
+    delay: float = 0.0
+    seed: int = 0
 
 
 class OwnBus:
@@ -298,9 +395,10 @@ class OwnBus:
         advance: moves the arm and the motors to a moment [s].
         fd: whether frames are those of CAN-FD.
         has_echo: whether sent frames come back when they were on the bus, as with SocketCAN.
+        disturbance: what happens to commands of enabled motors, and to their answers.
     """
 
-    def __init__(self, motors, advance, fd=False, has_echo=True):
+    def __init__(self, motors, advance, fd=False, has_echo=True, disturbance=None):
         self.clock = SimulatedClock()
         self.error_frames = 0
         # Motors compare the low eight bits of an id only.
@@ -310,11 +408,15 @@ class OwnBus:
         self._advance = advance
         self._fd = fd
         self._has_echo = has_echo
+        self._disturbance = disturbance or Disturbance()
+        self._rng = np.random.default_rng([self._disturbance.seed, 7])
         self._free_at = 0.0
         # Answers that wait for a free bus, as they came: (moment from which on, id, data).
         self._waiting = []
         # Frames that were on the bus and are not read yet, in the order of time.
         self._inbox = deque()
+        # Answers that the adapter hands over late.
+        self._held = deque()
 
     def frame_time(self, data):
         """Return how long a frame occupies the bus [s]; stuff bits depend on its data."""
@@ -336,6 +438,8 @@ class OwnBus:
         self._advance(end)
         number = frame.data[0] if frame.id == REGISTER_ID else frame.id & 0xFF
         for motor in self._listeners.get(number, ()):
+            if motor.is_driving and self._happens(self._disturbance.lost):
+                continue
             data = motor.answer(frame.id, frame.data, end)
             if data is not None:
                 self._waiting.append((end + TURNAROUND, motor.master_id, data))
@@ -344,10 +448,13 @@ class OwnBus:
         """Return the next frame that was on the bus by ``until`` [s], or None."""
         if not self._inbox:
             self._let_answer(until)
-        if not self._inbox or self._inbox[0].time > until:
+        frames = self._inbox
+        if self._held and (not frames or self._held[0].time < frames[0].time):
+            frames = self._held
+        if not frames or frames[0].time > until:
             self.clock.sleep_until(until)
             return None
-        frame = self._inbox.popleft()
+        frame = frames.popleft()
         self.clock.sleep_until(frame.time)
         return frame
 
@@ -368,4 +475,26 @@ class OwnBus:
             waiting.remove(first)
             _, master_id, data = first
             self._free_at = begin + self.frame_time(data)
-            self._inbox.append(CanFrame(master_id, data, self._free_at, self._fd))
+            self._hand_over(CanFrame(master_id, data, self._free_at, self._fd))
+
+    def _happens(self, share):
+        return share > 0.0 and self._rng.random() < share
+
+    def _hand_over(self, frame):
+        """Put an answer into the inbox, late or twice, unless it is lost."""
+        disturbance = self._disturbance
+        # Of a motor that is not enabled nothing is lost: the runs begin with all motors there.
+        if frame.data[0] >> 4 != ON:
+            self._inbox.append(frame)
+            return
+        if self._happens(disturbance.lost):
+            return
+        if self._happens(disturbance.late):
+            frame = frame._replace(time=frame.time + disturbance.delay)
+            self._held.append(frame)
+            return
+        self._inbox.append(frame)
+        if self._happens(disturbance.doubled):
+            end = self._free_at + self.frame_time(frame.data)
+            self._free_at = end
+            self._inbox.append(frame._replace(time=end))

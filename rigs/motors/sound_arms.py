@@ -2,7 +2,9 @@
 
 Nothing here is shared with the arm that the package simulates: the physics are MuJoCo's own step,
 and what a joint's friction is stands below. Links are about 15 % off and one 40 %, rotors are off,
-motors and encoders a little. Such an arm is sound: nothing of this may stop a run.
+motors and encoders a little; a cable pulls at each joint; motors report position, velocity and
+torque of different ages, with noise. Such an arm is sound: nothing of this may stop a run, or make
+it say that something is wrong.
 
 Dry friction of a joint is larger at rest and fades with the speed; it grows with the torque in the
 gear; and it acts through a stiff spring that slips at its level, so that a joint which stands
@@ -14,7 +16,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -29,7 +31,24 @@ FADING = 0.1
 """Speed with which the friction of rest fades [rad/s]."""
 FADED = 10.0 * FADING
 GIVE = 1e-3
-"""How far the spring of dry friction gives way before it slips [rad]."""
+"""How far the spring of dry friction gives way before it slips, unless drawn [rad]."""
+LEAST_GIVE = 5e-4
+MOST_GIVE = 5e-3
+"""Between which it is drawn [rad]: gears bend by some thousandths before their friction turns."""
+CABLE_SHARE = 0.1
+"""Most torque of a cable a radian from where it is slack, over what the joint needs in a motion."""
+MOST_AGE_CYCLES = 2.0
+"""How old what a motor reports may be, in cycles of control."""
+OLDEST = 8e-3
+"""How old it is at most [s]: two cycles of 250 Hz. A motor that works ten thousand times a second
+knows nothing of a computer that sends fifty."""
+LONGEST_LAG = 4e-3
+"""Longest time constant of the low-pass of reported velocities [s]."""
+TORQUE_NOISE = 0.005
+"""Most noise of a reported torque (standard deviation), over the motor's peak."""
+VELOCITY_NOISE = 2.0
+"""Most noise of a reported velocity (standard deviation), in steps in which it is reported."""
+VELOCITY_STEPS = 4095.0
 STIFFEST = 0.2 / STEP**2
 """Most of the spring's stiffness over the joint's inertia [1/s^2]: far from 4 per step squared,
 where it would ring."""
@@ -54,12 +73,14 @@ class JointFriction:
         at_rest: further dry friction, which fades with the speed [N m].
         load_share: further dry friction per torque of the motor.
         viscous: per speed [N m s/rad].
+        give: how far the spring of dry friction gives way before it slips [rad].
     """
 
     dry: np.ndarray
     at_rest: np.ndarray
     load_share: np.ndarray
     viscous: np.ndarray
+    give: float | np.ndarray = GIVE
 
 
 def draw_friction(typical, rng):
@@ -95,6 +116,8 @@ class Plant:
         friction: of its joints.
         links: true links (n, 10); None for those of the model.
         rotor_change: rotor inertia (n,) beside the model's [kg m^2].
+        cable: stiffness (n,) of springs at the joints [N m/rad].
+        slack: positions (n,) at which these are slack [rad].
 
     Attributes:
         time: of the state [s].
@@ -103,7 +126,9 @@ class Plant:
         brake: further dry friction (n,) [N m].
     """
 
-    def __init__(self, robot, q, friction, links=None, rotor_change=0.0):
+    def __init__(
+        self, robot, q, friction, links=None, rotor_change=0.0, cable=0.0, slack=0.0
+    ):
         self.robot = robot
         model = copy.copy(robot.mj_model)
         self._model = model
@@ -142,6 +167,8 @@ class Plant:
         n = robot.n_joints
         self.external = [0.0] * n
         self.brake = [0.0] * n
+        self._cable = np.broadcast_to(cable, n).tolist()
+        self._slack = np.broadcast_to(slack, n).tolist()
 
     def set_velocity(self, qd):
         """Let the joints move with velocities qd (n,) [rad/s]."""
@@ -156,7 +183,8 @@ class Plant:
         # What a joint has against its own spring while the others are free.
         inertia = 1.0 / np.diag(moved[:, self._dofs])
         rows = friction.dry, friction.at_rest, friction.load_share, friction.viscous
-        self._friction = np.column_stack((*rows, inertia)).tolist()
+        give = np.broadcast_to(friction.give, n)
+        self._friction = np.column_stack((*rows, give, inertia)).tolist()
         self._bend = [0.0] * n
 
     def _write_link(self, number):
@@ -186,24 +214,38 @@ class Plant:
         forces = []
         resistances = []
         bends = []
-        for torque_i, damping_i, speed, bend, external, brake, friction in zip(
+        for (
+            torque_i,
+            damping_i,
+            position,
+            speed,
+            bend,
+            external,
+            brake,
+            cable,
+            slack,
+            friction,
+        ) in zip(
             torque,
             damping,
+            self.q,
             self.qd,
             self._bend,
             self.external,
             self.brake,
+            self._cable,
+            self._slack,
             self._friction,
         ):
-            dry, at_rest, load_share, viscous, inertia = friction
-            force = torque_i + external
+            dry, at_rest, load_share, viscous, give, inertia = friction
+            force = torque_i + external - cable * (position - slack)
             resistance = damping_i + viscous
             level = dry + brake + load_share * abs(torque_i - damping_i * speed)
             # Beyond that nothing of the friction of rest is left.
             if -FADED < speed < FADED:
                 level += at_rest * math.exp(-abs(speed) / FADING)
             if level > 0.0:
-                stiffness = min(level / GIVE, STIFFEST * inertia)
+                stiffness = min(level / give, STIFFEST * inertia)
                 bend += STEP * speed
                 spring = stiffness * bend
                 if -level < spring < level:
@@ -293,6 +335,7 @@ class Arm:
                 damping = 0.0
             torques.append(torque)
             dampings.append(damping)
+            motor.remember(time, STEP)
             if motor.drift_rate:
                 motor.encoder_shift += STEP * motor.drift_rate
         if is_driving:
@@ -346,18 +389,54 @@ def sound_plant(robot, q, typical, seed):
     armature = robot.mj_model.dof_armature[robot.dof_index]
     rotor_change = armature * rng.uniform(-0.3, 0.3, n) + rng.uniform(0.002, 0.02, n)
     friction = draw_friction(typical, rng)
-    return Plant(robot, q, friction, drawn_links(robot, seed), rotor_change)
+    give = np.exp(rng.uniform(math.log(LEAST_GIVE), math.log(MOST_GIVE), n))
+    return Plant(
+        robot,
+        q,
+        replace(friction, give=give),
+        drawn_links(robot, seed),
+        rotor_change,
+        cable=typical * rng.uniform(0.0, CABLE_SHARE, n),
+        slack=q + rng.uniform(-1.0, 1.0, n),
+    )
 
 
-def make_sound(motors, seed):
-    """Let motors and encoders be a little off, as they are."""
+def make_sound(motors, seed, period):
+    """Let motors and encoders be a little off, as they are, with commands every ``period`` [s]."""
     rng = np.random.default_rng([seed, 2])
     for motor in motors:
         motor.torque_share = 1.0 + 0.03 * rng.standard_normal()
         motor.torque_reading = 1.0 + 0.02 * rng.standard_normal()
         motor.encoder_shift = 2e-3 * rng.standard_normal()
+    rng = np.random.default_rng([seed, 5])
+    kinds = {}
+    for motor in motors:
+        kind = motor.limits
+        if kind not in kinds:
+            kinds[kind] = _draw_ages(period, rng)
+        for name, age in kinds[kind].items():
+            setattr(motor, name, age)
+        motor.torque_noise = rng.uniform(0.0, TORQUE_NOISE) * motor.peak_torque
+        step = 2.0 * motor.limits[1] / VELOCITY_STEPS
+        motor.velocity_noise = rng.uniform(0.0, VELOCITY_NOISE) * step
+        motor.rng = np.random.default_rng([seed, 6, motor.can_id])
 
 
-def bus_of(arm, fd):
+def _draw_ages(period, rng):
+    """Return how old what a kind of motor reports is [s], by attribute of ``OwnMotor``.
+
+    A third of the motors report all of the same moment but torque of the step of physics before.
+    """
+    oldest = min(MOST_AGE_CYCLES * period, OLDEST)
+    drawn = {
+        "torque_age": rng.uniform(0.0, oldest),
+        "velocity_age": rng.uniform(0.0, oldest),
+        "position_age": rng.uniform(0.0, oldest),
+        "velocity_lag": rng.uniform(0.0, LONGEST_LAG),
+    }
+    return {"torque_age": STEP} if rng.random() < 1.0 / 3.0 else drawn
+
+
+def bus_of(arm, fd, disturbance=None):
     """Return the bus on which an arm's motors listen."""
-    return OwnBus(arm.motors, arm.advance, fd)
+    return OwnBus(arm.motors, arm.advance, fd, disturbance=disturbance)

@@ -20,7 +20,7 @@ import numpy as np
 from rigs.arms.walk import run_here
 from rigs.arms.wrong_arms import resting_torque, typical_torque
 from rigs.files.places import GUESS, MODELS
-from rigs.motors.own_motors import OwnMotor
+from rigs.motors.own_motors import Disturbance, OwnMotor
 from rigs.motors.sound_arms import (
     STEP,
     Arm,
@@ -67,6 +67,8 @@ NEAR = 0.01
 """Angle over which that slope is taken [rad]."""
 SAMPLE_RATE = 250.0
 """Rate at which a motion's torque is looked at, to choose motors [Hz]."""
+LATE_SHARE = 0.5
+"""Share of answers that are late, or doubled, over that of frames that are lost."""
 COMPLETED = "completed"
 STOPPED = "stopped"
 REFUSED = "refused"
@@ -128,6 +130,14 @@ SOUND_ARMS = {
 """Arms on Damiao motors, none of whose runs may be stopped while they are sound."""
 
 
+def arm_named(name):
+    """Return one of ``SOUND_ARMS``, or the arm of ``FILE`` or of ``FILE:TERMINAL_JOINT``."""
+    if name in SOUND_ARMS:
+        return SOUND_ARMS[name]
+    file, _, joint = name.partition(":")
+    return PublicArm(Path(file), joint)
+
+
 @dataclass(frozen=True)
 class PlannedMotion:
     """What ``plan --export-damiao`` has written for an arm.
@@ -182,8 +192,8 @@ class PlannedMotion:
 @cache
 def planned_motion(name, folder, duration=6.0, seed=0):
     """Return the motion of an arm, which is planned into a folder unless it is there already."""
-    arm = SOUND_ARMS[name]
-    target = Path(folder) / f"{name}_{duration:g}_{seed}"
+    arm = arm_named(name)
+    target = Path(folder) / f"{Path(name).stem}_{duration:g}_{seed}"
     target.mkdir(exist_ok=True)
     model = _model_file(arm, target)
     joint = f"--joint {arm.joint}" if arm.joint else ""
@@ -260,12 +270,14 @@ class RunOptions:
     """How a motion is played on an arm.
 
     Attributes:
-        arm: name of one of ``SOUND_ARMS``.
+        arm: name of one of ``SOUND_ARMS``, or a model file, see ``arm_named``.
         seed: draws what is wrong with the arm; None: nothing, and the model's own friction.
         speed, rate, kp: as the options of ``motors play``; None for the command's default.
         has_model: whether the player has the model.
         duration: of the planned motion at full speed [s].
         records: whether the run is recorded.
+        lost: share of commands, and of answers, that never arrive; half as many answers come a
+            cycle late, and as many twice.
     """
 
     arm: str
@@ -276,19 +288,36 @@ class RunOptions:
     has_model: bool = True
     duration: float = 6.0
     records: bool = False
+    lost: float = 0.0
 
     @property
     def is_fd(self):
         """Whether it needs CAN-FD."""
         return (self.rate or 0.0) > FASTEST_CLASSIC
 
+    @property
+    def period(self):
+        """Length of a cycle of control [s]."""
+        return 1.0 / (self.rate or SAMPLE_RATE)
 
-def draw_options(name, folder, seed, speed, has_model, duration=6.0):
+    @property
+    def disturbance(self):
+        """What the bus does to frames."""
+        return Disturbance(
+            self.lost,
+            late=LATE_SHARE * self.lost,
+            doubled=LATE_SHARE * self.lost,
+            delay=self.period,
+            seed=self.seed or 0,
+        )
+
+
+def draw_options(name, folder, seed, speed, has_model, duration=6.0, lost=0.0):
     """Return how the arm of a seed is played, with a rate and a stiffness that are drawn, too.
 
     A stiffness with which it would sag out of its tolerance is raised.
     """
-    rng = np.random.default_rng([seed, 3, *name.encode()])
+    rng = np.random.default_rng([seed, 3, *Path(name).stem.encode()])
     rate = math.exp(rng.uniform(math.log(LEAST_RATE), math.log(MOST_RATE)))
     stiffness = rng.uniform(LEAST_STIFFNESS, MOST_STIFFNESS)
     planned = planned_motion(name, folder, duration)
@@ -301,6 +330,7 @@ def draw_options(name, folder, seed, speed, has_model, duration=6.0):
         kp=round(max(stiffness, least)),
         has_model=has_model,
         duration=duration,
+        lost=lost,
     )
 
 
@@ -430,9 +460,9 @@ def run_arm(options, folder, fault=None):
     ]
     plant = _plant(planned, options)
     if options.seed is not None:
-        make_sound(motors, options.seed)
+        make_sound(motors, options.seed, options.period)
     arm = Arm(plant, motors)
-    bus = bus_of(arm, options.is_fd)
+    bus = bus_of(arm, options.is_fd, options.disturbance)
     console = Listener(bus.clock)
     happened = []
     if fault is not None:

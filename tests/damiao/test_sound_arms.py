@@ -126,6 +126,47 @@ def test_frames_follow_one_another_and_commands_go_first():
     assert bus.receive(2.0) is None and bus.clock.now() == 2.0
 
 
+def test_an_answer_reports_each_signal_as_it_was_an_age_ago():
+    motor = OwnMotor(1, 0x11, DM4340, 27.0, watchdog=1.0)
+    motor.position_age = 0.01
+    motor.velocity_age = 0.02
+    motor.torque_age = 0.03
+    motor.answer(1, ENABLE, 0.0)
+    motor.answer(1, pack_command((0.0, 0.0, 10.0, 0.0, 3.0), DM4340), 0.0)
+    for time in np.arange(0.0, 0.1, STEP):
+        motor.link_position = 5.0 * time
+        motor.link_velocity = 20.0 * time
+        motor.remember(time, STEP)
+    # The torque is still that of the first command.
+    motor.answer(1, pack_command((0.0, 0.0, 10.0, 0.0, -3.0), DM4340), 0.08)
+    answer = motor.answer(1, pack_command((0.0,) * 5, DM4340), 0.1)
+    _, _, position, velocity, torque = own_motors.unpack_feedback(answer, DM4340)
+    assert position == pytest.approx(0.45, abs=0.02)
+    assert velocity == pytest.approx(1.6, abs=0.03)
+    assert torque == pytest.approx(3.0 - 10.0 * 0.35, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("share", "n_frames"), [("lost", 0.7**2), ("late", 1.0), ("doubled", 1.3)]
+)
+def test_a_bus_loses_delays_and_doubles_answers(share, n_frames):
+    motor = OwnMotor(1, 0x11, DM4340, 27.0, watchdog=0.0)
+    disturbance = own_motors.Disturbance(delay=0.01, **{share: 0.3})
+    bus = own_motors.OwnBus(
+        [motor], lambda time: None, has_echo=False, disturbance=disturbance
+    )
+    motor.answer(1, ENABLE, 0.0)
+    delays = []
+    for number in range(1000):
+        begin = 0.02 * number
+        bus.send(CanFrame(1, pack_command((0.0,) * 5, DM4340)))
+        while frame := bus.receive(begin + 0.02):
+            delays.append(frame.time - begin)
+    assert len(delays) == pytest.approx(1000 * n_frames, abs=70)
+    is_late = np.array(delays) > 0.01
+    assert np.mean(is_late) == pytest.approx(0.3 * (share == "late"), abs=0.05)
+
+
 # --- the arm --------------------------------------------------------------------------------------
 
 

@@ -5,9 +5,9 @@ comparison with the model is that of ``robot-sysid check`` (``pipeline/compariso
 recording's own contradictions need no model:
 
 - A motor in MIT mode makes tau = t + kp (p - q) + kd (v - qd) of the command in force, and reports
-  it. A regression of the reported torque on these three gives one for each, but for what sensors
-  are usually off: less of the stiffness and the damping alone is another TMAX than that of the
-  register, nothing of the damping is a gain that is ignored.
+  it. A regression of the reported torque on these three (``motor_law``) gives one for each, but for
+  what sensors are usually off: less of the stiffness and the damping alone is another TMAX than
+  that of the register, nothing of the damping is a gain that is ignored.
 - Velocities are the derivatives of positions.
 """
 
@@ -18,10 +18,15 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
+from robot_sysid.damiao.checks.motor_law import (
+    PARTS,
+    MotorRows,
+    MotorSteps,
+    estimate_factors,
+)
 from robot_sysid.damiao.settings import Plan, slowing_in_a_cycle
 from robot_sysid.errors import SysidError, error_text
 from robot_sysid.model import OF_LOG, ModelOptions
@@ -31,26 +36,16 @@ from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import given_values
 
-# Parts of a motor's law, in the order of the regression.
-_PARTS = "feed-forward torque", "stiffness kp", "damping kd"
 # How far a part's factor may be from one. A motor's torque reading is a few per cent off; of the
 # damping a filter of the motor's velocity, which the recording does not have, takes a share.
 _TOLERANCES = np.array([0.15, 0.15, 0.5])
 # Least share of a joint's torque that a part makes where its factor is judged.
 _LEAST_SHARE = 0.03
-# Least variance of a part whose factor is judged, over that of the steps in which its position or
-# velocity, and the torque, are reported: with less, in a slow run, the steps are as large as what
-# is to be told.
-_LEAST_RESOLUTION = 50.0
-# Variance of an error that is uniform within a step, over the square of the step.
-_STEP_VARIANCE = 1.0 / 12.0
 # Factor of velocities from which on they are not those of the positions, as in
 # ``faults.samples``: a low-pass of 3 Hz takes 3 %, steps of the velocity another few.
 _LEAST_RATIO = 0.1
 # Least velocity (root mean square) that is judged, over the step in which it is reported.
 _LEAST_STEPS = 5.0
-# Rows of a recording that count as one independent row.
-_ALIKE = 10.0
 # Least displacement of a joint whose velocities are judged [rad].
 _LEAST_MOTION = 0.1
 # Rows of a recording below which nothing is judged: a second at the slowest usual rate.
@@ -67,14 +62,6 @@ POSITION_CODES = 65535
 VELOCITY_CODES = 4095
 TORQUE_CODES = 4095
 _TEMPORARY_NAME = "measured.csv"
-
-
-class _Steps(NamedTuple):
-    """Steps in which a motor reports position [rad], velocity [rad/s] and torque [N m]."""
-
-    position: float = 0.0
-    velocity: float = 0.0
-    torque: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -180,30 +167,29 @@ def contradictions(path: Path, labels: Sequence[str]) -> list[str]:
             for name, values in columns.items()
             if name.startswith(f"j{number}_")
         }
-        answered = np.isfinite(signals["pos"]) & np.isfinite(signals["tau"])
-        if np.count_nonzero(answered) < _LEAST_ROWS:
-            continue
-        signals = {name: values[answered] for name, values in signals.items()}
         kp = gains["kp"][number]
         kd = gains["kd"][number]
-        own = steps.get(number, _Steps())
-        sentences += [f"{label}: {text}" for text in _of_torque(signals, kp, kd, own)]
-        slowed = slowing_in_a_cycle(float(np.median(np.diff(signals["time"]))), kp, kd)
-        of_velocity = _of_velocity(signals, own.velocity, slowed)
+        rows = MotorRows.of(signals, kp, kd)
+        if len(rows.signals["time"]) < _LEAST_ROWS:
+            continue
+        own = steps.get(number, MotorSteps())
+        sentences += [f"{label}: {text}" for text in _of_torque(rows, own)]
+        slowed = slowing_in_a_cycle(rows.period, kp, kd)
+        of_velocity = _of_velocity(rows.signals, own.velocity, slowed)
         sentences += [f"{label}: {text}" for text in of_velocity]
     return sentences
 
 
 def _read_recording(
     path: Path,
-) -> tuple[dict[str, list[float]], dict[int, _Steps], dict[str, Array]]:
+) -> tuple[dict[str, list[float]], dict[int, MotorSteps], dict[str, Array]]:
     """Return what a recording holds.
 
     These are the gains kp and kd (n,) in its head, by number of a joint the steps in which its
     motor reports, and the columns (N,) by title.
     """
     gains: dict[str, list[float]] = {"kp": [], "kd": []}
-    steps: dict[int, _Steps] = {}
+    steps: dict[int, MotorSteps] = {}
     titles: list[str] = []
     rows: list[list[float]] = []
     for line in path.read_text(encoding="utf-8").splitlines():
@@ -214,7 +200,7 @@ def _read_recording(
             match = _REGISTERS.match(line)
             if match:
                 number, position, velocity, torque = match.groups()
-                steps[int(number)] = _Steps(
+                steps[int(number)] = MotorSteps(
                     2.0 * float(position) / POSITION_CODES,
                     2.0 * float(velocity) / VELOCITY_CODES,
                     2.0 * float(torque) / TORQUE_CODES,
@@ -227,71 +213,24 @@ def _read_recording(
     return gains, steps, dict(zip(titles, table.T))
 
 
-def _of_torque(
-    signals: Mapping[str, Array], kp: float, kd: float, steps: _Steps
-) -> Iterator[str]:
-    """Yield where a joint's reported torque is not that of its commands and its state.
-
-    The motor's own loop knows position and velocity finer than the ``steps`` in which it reports
-    them. What these add to the squares of the parts makes a factor too small. It can be taken off
-    where it is independent of what is rounded (errors in variables; Fuller, "Measurement error
-    models", 1987), which it is not in a slow run, whose velocities stay within one step. So what
-    is said holds with it and without.
-    """
-    # Recorded is the mean torque while commands are held; reported was the sample.
-    reported = signals["tau"] - signals["cmd_mean"]
-    parts = np.column_stack(
-        (
-            signals["cmd_tau"],
-            kp * (signals["cmd_pos"] - signals["pos"]),
-            kd * (signals["cmd_vel"] - signals["vel"]),
-        )
-    )
-    is_known = np.isfinite(reported) & np.all(np.isfinite(parts), axis=1)
-    if np.count_nonzero(is_known) < _LEAST_ROWS:
+def _of_torque(rows: MotorRows, steps: MotorSteps) -> Iterator[str]:
+    """Yield where a joint's reported torque is not that of its commands and its state."""
+    if np.count_nonzero(rows.is_judged) < _LEAST_ROWS:
         return
-    reported = reported[is_known] - np.mean(reported[is_known])
-    parts = parts[is_known] - np.mean(parts[is_known], axis=0)
-    variances = np.mean(parts**2, axis=0)
-    rounded = np.array([0.0, kp * steps.position, kd * steps.velocity])
-    coarse = _STEP_VARIANCE * rounded**2
-    total = max(float(np.mean(reported**2)), float(np.max(variances)))
+    variances = np.var(rows.parts(np.zeros(len(PARTS))), axis=0)
+    total = max(float(np.var(rows.reported_torque)), float(np.max(variances)))
     is_judged = variances > _LEAST_SHARE**2 * total
-    is_judged &= variances > _LEAST_RESOLUTION * coarse
-    is_judged &= variances > _LEAST_RESOLUTION * _STEP_VARIANCE * steps.torque**2
-    is_used = variances > 2.0 * coarse
-    if total == 0.0 or not np.any(is_judged):
+    if not np.any(is_judged):
         return
-    used = parts[:, is_used]
-    of_used = is_judged[is_used]
-    estimates = []
-    for of_steps in (np.zeros(3), coarse):
-        factors, errors = _factors(used, reported, of_steps[is_used])
-        off = np.abs(factors - 1.0) - _TOLERANCES[is_used] - SURE * errors
-        estimates.append((float(np.max(off[of_used])), factors, errors))
-    off_by, factors, errors = min(estimates, key=lambda estimate: estimate[0])
-    if off_by > 0.0:
-        names = np.array(_PARTS)[is_used]
+    factors, errors = estimate_factors(rows, steps)
+    off = np.abs(factors - 1.0) - _TOLERANCES - SURE * errors
+    if np.max(off[is_judged]) > 0.0:
         listed = ", ".join(
             f"{factor:.2f} ± {error:.2f} of its {name}"
-            for name, factor, error, is_sure in zip(names, factors, errors, of_used)
+            for name, factor, error, is_sure in zip(PARTS, factors, errors, is_judged)
             if is_sure
         )
         yield f"the torque that it reports is {listed}, and 1 of each was commanded"
-
-
-def _factors(parts: Array, reported: Array, of_steps: Array) -> tuple[Array, Array]:
-    """Return the factors (k,) of parts (N, k) in a torque (N,), and their standard errors.
-
-    ``of_steps`` (k,) is the variance of the parts that is rounding, independent of the parts.
-    """
-    normal = parts.T @ parts - len(parts) * np.diag(of_steps)
-    inverse = np.linalg.pinv(normal, hermitian=True)
-    factors = inverse @ (parts.T @ reported)
-    left = reported - parts @ factors
-    # Residuals of neighbouring rows are alike: a tenth of the rows are independent.
-    variances = _ALIKE * np.mean(left**2) * np.maximum(np.diag(inverse), 0.0)
-    return factors, np.sqrt(variances)
 
 
 def _of_velocity(
@@ -303,6 +242,8 @@ def _of_velocity(
         signals: of the joint, (N,) each.
         step: in which its motor reports velocity [rad/s].
         slowed: by how much its mean speed may exceed the sampled one, see ``slowing_in_a_cycle``.
+            A velocity that is older than its frame may exceed the mean as much: it is that after
+            the step which the command has made, and not that before the next one.
     """
     time = signals["time"]
     position = signals["pos"] - np.mean(signals["pos"])
@@ -312,8 +253,11 @@ def _of_velocity(
     steps = np.diff(time)
     middle = 0.5 * (signals["vel"][1:] + signals["vel"][:-1])
     integral = np.append(0.0, np.cumsum(steps * middle))
-    # A constant error of a drive's speed is no contradiction.
-    track = np.column_stack((integral, time - time[0], np.ones_like(time)))
+    # A constant error of a drive's speed is no contradiction, nor is an age that is not the
+    # position's.
+    track = np.column_stack(
+        (integral, signals["vel"], time - time[0], np.ones_like(time))
+    )
     factors, *_ = np.linalg.lstsq(track, signals["pos"], rcond=None)
-    if not 1.0 - _LEAST_RATIO <= factors[0] <= slowed + _LEAST_RATIO:
+    if not 1.0 / slowed - _LEAST_RATIO <= factors[0] <= slowed + _LEAST_RATIO:
         yield (f"its positions move by {factors[0]:.2f} times what its velocities say")
