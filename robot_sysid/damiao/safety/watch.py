@@ -67,6 +67,9 @@ _SCALE = 0.03
 # much as in the worst of 48 undisturbed runs; and by a velocity that is filtered [s].
 _DRIFT = 0.01
 _LATE = 0.01
+# Cycles by which position, velocity and torque in an answer may differ in age: what a motor's
+# firmware does, no manual says.
+_OLDEST = 2.0
 # Factor by which a joint may slow down within a cycle before its samples say nothing of its speed:
 # it may come to rest within each cycle.
 _MOST_SLOWED = 2.0
@@ -196,6 +199,10 @@ class Watch:
         self._shift = holding.position_shift()
         kp = np.maximum(settings.kp, 1e-9)
         self._spring = _SUDDEN_ERROR * kp
+        # Torque by which a position that is a cycle older differs, per speed; and by an older
+        # velocity, per change of it.
+        self._torque_per_age = settings.period * kp
+        self._kd = np.array(settings.kd)
         rated = np.array([joint.spec.rated_torque for joint in joints])
         # How far a standing joint may sag: an arm half a radian from the first point, or with a new
         # load, needs half of this. And how far it may go where its own torque pushes it.
@@ -373,16 +380,17 @@ class Watch:
         drift_way, drift_speed = self._drift
         yield _Comparison(way, led, self._most_beside_led)
         bound = _SPEED_ERROR + _SPEED_SHARE * np.abs(speed)
-        bound = bound + self._velocity_step + 0.5 * turn
+        bound = bound + self._velocity_step + _OLDEST * turn
         yield _Comparison(way, self._slowed_speed(way, speed), bound)
         long_bound = _LONG_SPEED_ERROR + _SCALE * long_speed
-        long_bound = long_bound + 0.5 * (self._velocity_step + long_turn)
+        long_bound = long_bound + 0.5 * self._velocity_step + _OLDEST * long_turn
         yield _Comparison(
             long_way, self._slowed_speed(long_way, long_speed), long_bound
         )
         # Positions that drift are not in these velocities. A right arm differs by a late velocity,
         # by its scale, and by rounding where it moves slowly.
-        drift_bound = _DRIFT + _LATE * np.abs(speed - drift_speed)
+        late = max(_LATE, _OLDEST * self._settings.period)
+        drift_bound = _DRIFT + late * np.abs(speed - drift_speed)
         drift_bound = drift_bound + _SCALE * np.abs(drift_speed)
         drift_bound = drift_bound + 0.5 * self._velocity_step
         yield _Comparison(
@@ -396,8 +404,16 @@ class Watch:
         """
         tau, commanded, fed, added, _ = self._short[4:]
         long_tau, long_commanded, long_fed, _, _ = self._long[4:]
-        yield _Comparison(tau, commanded, self._torque_error)
+        aged, long_aged = (
+            _OLDEST * (self._torque_per_age * speed + self._kd * turn)
+            for turn, speed in (
+                (self._short[0], np.abs(self._short[2])),
+                (self._long[0], self._long[2]),
+            )
+        )
+        yield _Comparison(tau, commanded, self._torque_error + aged)
         long_bound = _LONG_TORQUE_SHARE * long_commanded + self._long_torque_floor
+        long_bound = long_bound + long_aged
         yield _Comparison(long_tau, long_commanded, long_bound)
         yield _Comparison(tau, fed, self._most_beside_fed)
         # A wrong model gets half of a change of the feed-forward torque wrong.
@@ -474,9 +490,14 @@ class Watch:
         return is_opposite & (np.abs(weight) > least_load)
 
     def _slowed_speed(self, way: Array, speed: Array) -> Array:
-        """Return the mean speed (n,) [rad/s] nearest to ``way`` that a sampled ``speed`` allows."""
+        """Return the mean speed (n,) [rad/s] nearest to ``way`` that a sampled ``speed`` allows.
+
+        Where a joint comes to rest within each cycle, a sample of any age may be that of its
+        slowest or of its fastest moment.
+        """
+        slowest = speed / self._slowed
         fastest = speed * self._slowed
-        return way.clip(np.minimum(speed, fastest), np.maximum(speed, fastest))
+        return way.clip(np.minimum(slowest, fastest), np.maximum(slowest, fastest))
 
     def _check_repeats(
         self, replies: Replies, acted: MitCommand, commanded: Array
