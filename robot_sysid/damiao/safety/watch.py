@@ -70,6 +70,8 @@ _LATE = 0.01
 # Cycles by which position, velocity and torque in an answer may differ in age: what a motor's
 # firmware does, no manual says.
 _OLDEST = 2.0
+# Cycles from one sample to the next one: more where answers are missing.
+_NEXT = 1.5
 # Factor by which a joint may slow down within a cycle before its samples say nothing of its speed:
 # it may come to rest within each cycle.
 _MOST_SLOWED = 2.0
@@ -322,6 +324,9 @@ class Watch:
                 * (np.abs(acted.velocity) > self._velocity_step),
             ]
         )
+        # How a joint went between samples that are farther apart, these do not tell.
+        is_next = passed < _NEXT * self._settings.period
+        signals[:3] = np.where(is_next, signals[:3], self._short[:3])
         self._last = np.where(replies.answered, sample, self._last)
         change = -np.expm1(-passed / _SHORT) * (signals - self._short)
         self._short = np.where(is_usable, self._short + change, self._short)
