@@ -918,8 +918,8 @@ INCIDENTS = (
     Incident(
         "console closed",
         NO_SAMPLE,
-        {"floating": floating(close_terminal, 1, "or printing it failed", 0.2)},
-        process(close_console, 0, off_within=9.0),
+        {"floating": floating(close_terminal, 3, "cannot print", 0.2)},
+        process(close_console, 3, "nobody reads its output any more"),
     ),
     Incident(
         "full disk",

@@ -40,5 +40,5 @@ class Terminal:
 
     def fileno(self):
         """A file that whoever asks may send elsewhere."""
-        self._is_dropped = True
+        self._is_dropped = self._rig.terminal_is_closed
         return os.open(os.devnull, os.O_WRONLY)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Optional
 
@@ -472,12 +472,7 @@ def run(
             recorder = MeasurementRecorder(path, plan, registers, writer)
         with stop.on_signals(), recorder or contextlib.nullcontext(), session:
             player = Player(
-                session,
-                plan.settings,
-                stop,
-                recorder,
-                lambda text: console(partial(on_phase, text)),
-                holding,
+                session, plan.settings, stop, recorder, console, on_phase, holding
             )
             report = player.play(activity)
     except HardwareAbort as stopped:

@@ -13,16 +13,17 @@ import contextlib
 import signal
 import time
 from array import array
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
+from robot_sysid.damiao.outputs import watched_outputs
 from robot_sysid.damiao.protocol import KD_STEP, Codes, MitCommand
-from robot_sysid.damiao.recorder import MeasurementRecorder
+from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
 from robot_sysid.damiao.references import (
     Activity,
     Follower,
@@ -203,7 +204,8 @@ class Player:
         settings: gains, speeds and limits, with one gain per motor.
         stop: request for a stop, which is checked in every cycle.
         recorder: gets every cycle of the trajectory, but no transfers; None records nothing.
-        on_phase: called with the name of each new phase; may not raise or wait.
+        console: prints beside the control loop.
+        on_phase: called by the console with the name of each new phase.
         holding: computes the torque that holds the arm.
     """
 
@@ -213,6 +215,7 @@ class Player:
         settings: PlaySettings,
         stop: StopRequest,
         recorder: MeasurementRecorder | None,
+        console: Aside,
         on_phase: Callable[[str], None],
         holding: HoldingTorque,
     ) -> None:
@@ -221,7 +224,8 @@ class Player:
         self._settings = settings
         self._stop = stop
         self._recorder = recorder
-        self._announce = on_phase
+        self._console = console
+        self._announce = lambda text: console(partial(on_phase, text))
         self._holding = holding
         self._watch = Watch(
             session.joints, settings, session.steps, session.limits.torque, holding
@@ -386,11 +390,14 @@ class Player:
             self._watch.check(replies, acted, followed, phase)
 
     def _stop_if_asked(self) -> None:
-        """Raise HardwareAbort if a stop was requested, or recording failed."""
+        """Raise HardwareAbort if a stop was requested, or recording or printing failed."""
+        self._stop.look_at_outputs()
         if self._stop.reason:
             raise HardwareAbort(self._stop.reason)
         if self._recorder and self._recorder.failure is not None:
             raise HardwareAbort(f"cannot record: {error_text(self._recorder.failure)}")
+        if self._console.failure is not None:
+            raise HardwareAbort(f"cannot print: {error_text(self._console.failure)}")
 
     def _exchange(
         self, reference: Reference, braking: bool = False
@@ -574,15 +581,22 @@ class StopRequest:
     person (Ctrl-C) means "at once, even if the arm drops": hang-up and termination signals come in
     bursts when a terminal is closed or a computer shuts down.
 
+    A run that prints into a pipe which nobody reads any more comes to rest, too, as at a hang-up.
+
     Args:
         now: returns the time by which interrupts are told apart [s].
+        outputs: text streams into which the run prints; none are watched by default.
 
     Attributes:
         reason: reason of the first request; "" before.
         insisted: whether the run has to end at once.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, now: Callable[[], float] = time.monotonic, outputs: Sequence[Any] = ()
+    ) -> None:
+        self._outputs = outputs
+        self._is_unread: Callable[[], bool] = lambda: False
         self.reason = ""
         self.insisted = False
         self._now = now
@@ -593,12 +607,20 @@ class StopRequest:
         self.reason = self.reason or reason
         self.insisted |= insist
 
-    def on_signals(self) -> AbstractContextManager[None]:
-        """Return a context in which signals that ask the program to end request a stop.
+    @contextlib.contextmanager
+    def on_signals(self) -> Iterator[None]:
+        """Let signals that ask the program to end request a stop inside the block.
 
         So does Ctrl-Z: watchdogs would let go of the arm of a program that is suspended.
         """
-        return handle_stop_signals(self._handle, further=SUSPENSION)
+        signals = handle_stop_signals(self._handle, further=SUSPENSION)
+        with watched_outputs(self._outputs) as self._is_unread, signals:
+            yield
+
+    def look_at_outputs(self) -> None:
+        """Request a stop where nobody reads any more what the run prints."""
+        if self._is_unread():
+            self("stopped because nobody reads its output any more")
 
     def _handle(self, number: int, frame: Any) -> None:
         """Request a stop for a signal, at once for a second interrupt by another key press.

@@ -298,10 +298,9 @@ def check_and_run(
         require_playable(session.inspection_checks(plan, inspection))
     holding = session.holding(plan)
     joints = plan.trajectory.joints
+    stop = StopRequest(outputs=(sys.stdout, sys.stderr))
     try:
-        report = run(
-            link, plan, inspection, StopRequest(), console.stage, holding, activity
-        )
+        report = run(link, plan, inspection, stop, console.stage, holding, activity)
     except HardwareAbort as stopped:
         # No error of printing may hide what happened to the motors.
         with contextlib.suppress(Exception):

@@ -13,8 +13,11 @@ from robot_sysid.damiao.safety.plausibility import NO_STATUS, Mask, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 
-# What single damaged frames do not explain: answers and commands too many, counted with a decay.
+# What single damaged frames do not explain: commands of others, counted with a decay.
 _FEW = 2.5
+_DOUBLED = 5.5
+"""The same of answers too many: an adapter may hand one over twice now and then, and a second motor
+answers each time."""
 _DECAY = 0.95
 """Share of such a count that is left after a cycle: with more, damaged frames would add up."""
 _LOST_DECAY = 0.99
@@ -131,7 +134,7 @@ class BusHealth:
                 "gets commands of another program: end it; one master moves an arm",
             ),
             (
-                surplus > _FEW,
+                surplus > _DOUBLED,
                 "answers more often than it is asked: a second motor has its id, or another "
                 "program commands it",
             ),

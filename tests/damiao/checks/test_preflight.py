@@ -17,6 +17,7 @@ from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.checks.preflight import (
     bus_checks,
     direction_checks,
+    loss_checks,
     plan_checks,
     stiffness_checks,
     watchdog_checks,
@@ -203,3 +204,18 @@ def test_joints_that_nobody_verified_are_said(accepted, is_model, level, message
     (text,) = texts(direction_checks(plan, holding), level)
     assert text.startswith("nobody has verified which way motor 2 turn")
     assert text.endswith(message)
+
+
+@pytest.mark.parametrize(
+    ("lost", "level"), [(0.0, None), (0.03, Level.SAYS), (0.2, Level.REFUSES)]
+)
+def test_answers_that_do_not_come_are_said_and_many_forbid_to_play(lost, level):
+    bus = MotorBus(damiao_joints(["DM4310"] * 2, 2))
+    rng = np.random.default_rng(0)
+    motors = []
+    for motor in inspect_bus(bus.link).motors.values():
+        seconds = np.where(rng.random(200) < lost, np.nan, 1e-3)
+        motors.append(replace(motor, answer_times=tuple(seconds)))
+    remarks = [*loss_checks(motors)]
+    assert [remark.level for remark in remarks] == [level] * (level is not None)
+    assert all("requests were not answered" in remark.text for remark in remarks)
