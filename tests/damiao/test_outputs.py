@@ -23,9 +23,9 @@ def test_a_pipe_counts_as_unread_when_its_reader_has_gone():
 
 
 def test_a_file_and_a_stream_without_one_count_as_read(tmp_path):
-    with (tmp_path / "log.txt").open("w") as file:
-        with watched_outputs([file, io.StringIO(), None]) as is_unread:
-            assert not is_unread()
+    file = (tmp_path / "log.txt").open("w")
+    with file, watched_outputs([file, io.StringIO(), None]) as is_unread:
+        assert not is_unread()
 
 
 def test_a_run_that_nobody_reads_is_asked_to_stop():
