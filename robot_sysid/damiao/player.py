@@ -379,6 +379,8 @@ class Player:
             deadline = self._timer.wait()
             time = min(deadline - origin, length)
             target = reference(time)
+            if self._follower is not reference:
+                target = self._carried_where_it_is(target)
             self._stop_if_asked()
             followed = self._reference or target
             replies, acted = self._exchange(target)
@@ -388,6 +390,22 @@ class Player:
                     self._recorder.write(time, origin, replies, acted)
             self._timer.require_kept()
             self._watch.check(replies, acted, followed, phase)
+
+    def _carried_where_it_is(self, reference: Reference) -> Reference:
+        """Return a reference that feeds the weight of the pose in which the arm is, by the model.
+
+        A soft arm sags, and weighs more as it sinks. Fed by the reference's pose, this growth would
+        take the stiffness away that is to hold it, and the arm would sag twice as far or topple.
+        """
+        trusted, _ = self._trusted_motion
+        if not self._holding.is_model or not np.isfinite(trusted).all():
+            return reference
+        fed = reference.weight
+        if not np.isfinite(fed).all():
+            fed = self._holding.torque(reference.position)
+        weight = self._holding.torque(self._session.position_now)
+        torque = reference.torque + weight - fed
+        return reference._replace(torque=torque, weight=weight)
 
     def _stop_if_asked(self) -> None:
         """Raise HardwareAbort if a stop was requested, or recording or printing failed."""

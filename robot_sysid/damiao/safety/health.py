@@ -134,7 +134,7 @@ class BusHealth:
                 "gets commands of another program: end it; one master moves an arm",
             ),
             (
-                surplus > _DOUBLED,
+                (surplus > _DOUBLED) | (is_doubted & (surplus > _FEW)),
                 "answers more often than it is asked: a second motor has its id, or another "
                 "program commands it",
             ),
