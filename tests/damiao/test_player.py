@@ -1,15 +1,21 @@
-"""The cycle timer, and requests to stop."""
+"""The cycle timer, requests to stop, and what is fed."""
 
 from __future__ import annotations
 
 import signal
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.arms.wrong_arms import resting_torque
 from rigs.motors.clocks import ScriptedClock
+from rigs.motors.fault_bench import BenchRun, SetUp
+from rigs.motors.recordings import read_recording
 from robot_sysid.damiao.player import CycleTimer, StopRequest
+from robot_sysid.damiao.settings import RecordingOptions
 from robot_sysid.errors import STOP_SIGNALS, SUSPENSION, HardwareAbort
 
 NAMES = [number.name for number in (*STOP_SIGNALS, *SUSPENSION)]
@@ -74,3 +80,22 @@ def test_only_ctrl_c_again_insists_and_not_one_that_came_twice(later, insisted, 
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
     assert stop.insisted == insisted
+
+
+def test_a_soft_arm_is_fed_the_weight_of_the_pose_in_which_it_is(tmp_path):
+    """Fed that of the reference's pose, it would lose stiffness by what it weighs more there."""
+    setup = SetUp(kp=60.0, stands=True, duration=1.0)
+    run = BenchRun(setup)
+    path = tmp_path / "measured.csv"
+    run.plan = replace(run.plan, recording=RecordingOptions(record=path))
+    run.run()
+    assert run.error is None
+    log = read_recording(path)
+    measured = log.joint_values("pos")[50:-1]
+    fed = log.joint_values("cmd_tau")[51:]
+    robot = setup.robot
+    weight = resting_torque(robot, measured, robot.thetas)
+    planned = resting_torque(robot, run.plan.trajectory.q[:1], robot.thetas)
+    rounding = 0.06
+    assert np.abs(fed - weight).max() < rounding
+    assert np.abs(fed - planned).max() > 5.0 * rounding
