@@ -145,6 +145,7 @@ SECOND = "a second motor has its id"
 FOREIGN = "gets commands of another program"
 UNSEEN = "another program commands it"
 SHIFTED = "position: it reports"
+REVERSED = "turned against its commands"
 DIFFERS = "torque: it reports"
 NEEDS = "torque: it needs"
 SPEED = "speed: its positions change by"
@@ -414,6 +415,21 @@ INCIDENTS = (
             ),
             "kinova": kinova(shoulder(torque_share=0.5), NEEDS),
         },
+        SAME_PROGRAM,
+    ),
+    Incident(
+        "torque changes its sign, shoulder",
+        BY_THE_ARM,
+        {
+            "kinova": kinova(shoulder(torque_share=-1.0), REVERSED),
+            "worn": worn(shoulder(torque_share=-1.0), REVERSED, bound=0.2),
+        },
+        SAME_PROGRAM,
+    ),
+    Incident(
+        "torque changes its sign, wrist",
+        BY_THE_ARM,
+        {"kinova": kinova(wrist(torque_share=-1.0), REVERSED, bound=0.3)},
         SAME_PROGRAM,
     ),
     Incident(

@@ -264,13 +264,14 @@ class Player:
                 self._run_phases(activity)
             except BaseException as error:
                 self._stop_gently()
-                since = self._watch.health.reason_of_silence() + self._reversed_motors
-                if isinstance(error, HardwareAbort) and not since:
+                cause = self._reversed_motors
+                since = self._watch.health.reason_of_silence()
+                if isinstance(error, HardwareAbort) and not cause + since:
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
                 if isinstance(error, HardwareAbort):
                     reason = str(error)
-                raise HardwareAbort(reason + since) from error
+                raise HardwareAbort(cause + reason + since) from error
         assert self.report is not None
         return self.report
 
@@ -499,13 +500,13 @@ class Player:
 
     @property
     def _reversed_motors(self) -> str:
-        """The end of a message that names the motors which turned against their commands."""
+        """The beginning of a message that names the motors which turned against their commands."""
         labels = [self._session.joints[j].label for j in np.flatnonzero(self._turned)]
         if not labels:
             return ""
         return (
-            f"; {', '.join(labels)} turned against its commands, as with the other sign of torque "
-            "or position, and was switched off at once"
+            f"{', '.join(labels)} turned against its commands, as with the other sign of torque or "
+            "position, and was switched off at once; seen first: "
         )
 
     def _switch_off(self, joints: Mask) -> None:
