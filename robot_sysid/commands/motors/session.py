@@ -196,9 +196,14 @@ def run_health(report: PlayReport, joints: Sequence[DamiaoJoint]) -> list[str]:
     """
     if report.is_flawless:
         return ["every command was answered"]
-    headings = "bus health", "commands", "lost", "late", "refused", _STATUS_HEADING
+    headings = (
+        *("bus health", "commands", "lost", "lost %", "late", "refused"),
+        _STATUS_HEADING,
+    )
     rows: list[Sequence[str]] = [headings]
-    counts = report.commands, report.n_lost, report.late, report.refused
+    lost = 100.0 * report.n_lost / np.maximum(report.commands, 1)
+    shares = [f"{share:.1f}" for share in lost]
+    counts = report.commands, report.n_lost, shares, report.late, report.refused
     for joint, reports, *numbers in zip(joints, report.reports, *counts):
         status = ", ".join(
             f"{status_text(code)} ({n} times)" for code, n in sorted(reports.items())
