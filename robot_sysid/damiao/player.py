@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
-from robot_sysid.damiao.outputs import watched_outputs
 from robot_sysid.damiao.protocol import KD_STEP, Codes, MitCommand
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
 from robot_sysid.damiao.references import (
@@ -34,6 +33,7 @@ from robot_sysid.damiao.references import (
 )
 from robot_sysid.damiao.safety.health import CONFIRMED
 from robot_sysid.damiao.safety.holding import HoldingTorque
+from robot_sysid.damiao.safety.outputs import watched_outputs
 from robot_sysid.damiao.safety.plausibility import Mask, Replies
 from robot_sysid.damiao.safety.reversal import Reversal
 from robot_sysid.damiao.safety.stopping import LONGEST_LOWERING, CarriedStop, Lowering

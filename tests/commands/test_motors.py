@@ -211,8 +211,10 @@ def test_a_fault_that_a_motor_reports_while_it_drives_is_the_verdict(
     pattern = "Not usable: motor 2 reported status 3: .* in (\\d+) answers; played to"
     (count,) = re.findall(pattern, verdict)
     assert remedy.startswith("Find the cause")
-    row = rf"motor 2 +\d+ +0 +0 +{count} +status 3: .* \({count} times\)"
-    assert re.search(row, out) and re.search(r"motor 1 +\d+ +0 +0 +0 +-$", out, re.M)
+    row = rf"motor 2 +\d+ +0 +0.0 +0 +{count} +status 3: .* \({count} times\)"
+    assert re.search(row, out) and re.search(
+        r"motor 1 +\d+ +0 +0.0 +0 +0 +-$", out, re.M
+    )
     assert "error frames on the bus: 0" in out.split("largest distance")[1]
 
 
@@ -220,7 +222,7 @@ def test_a_run_that_is_stopped_says_how_the_motors_answered(motors, bus, traject
     bus.at(3.0, lambda: fault(1, lost_replies=True)(bus))
     code, out, _ = motors.run("play", trajectory, CAN0, FAST)
     assert code == 3
-    assert re.search(r"motor 2 +\d+ +[1-9]\d* +0 +0 +-$", out, re.M)
+    assert re.search(r"motor 2 +\d+ +[1-9]\d* +[\d.]+ +0 +0 +-$", out, re.M)
 
 
 def test_interrupting_before_anything_moves(motors, bus, trajectory, person):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import os
 
-from robot_sysid.damiao.outputs import watched_outputs
 from robot_sysid.damiao.player import StopRequest
+from robot_sysid.damiao.safety.outputs import watched_outputs
 
 
 def test_a_pipe_counts_as_unread_when_its_reader_has_gone():
