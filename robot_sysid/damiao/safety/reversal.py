@@ -118,11 +118,12 @@ class Reversal:
         is_against = np.any(fits[:, : 1 - _LEAST_SAMPLES], axis=(0, 1))
         is_against |= np.abs(beyond[-1]) > self._braked
         # The control pulls it back, by more than friction could need.
-        is_against &= away * (needed - torque)[-1] > self._doubt
-        is_against &= np.abs(beyond[-1]) > _LEAST_RISE
-        power = np.where(is_against, -torque[-1] * beyond[-1], 0.0)
+        is_pulled = away * (needed - torque)[-1] > self._doubt
+        is_pulled &= np.abs(beyond[-1]) > _LEAST_RISE
+        # Of all of these, also of those that nothing explains yet.
+        power = np.where(is_pulled, -torque[-1] * beyond[-1], 0.0)
         j = int(np.argmax(power))
-        found[j] = power[j] > 0.0
+        found[j] = power[j] > 0.0 and is_against[j]
         return found
 
     def restart(self, time: float, after: float = _SETTLING) -> None:
