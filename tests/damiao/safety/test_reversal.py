@@ -18,7 +18,15 @@ VELOCITY_STEP = 20.0 / 4095
 
 
 def search_after(
-    seconds, rate=250.0, *, sign=1.0, counts=1.0, load=0.0, kp=100.0, push=None, beside=0.0
+    seconds,
+    rate=250.0,
+    *,
+    sign=1.0,
+    counts=1.0,
+    load=0.0,
+    kp=100.0,
+    push=None,
+    beside=0.0,
 ):
     """Return whether the second joint's motor is found after something has gone wrong for so long.
 
