@@ -474,13 +474,16 @@ class Player:
 
     @property
     def _reversed_motors(self) -> str:
-        """The end of a message that names the motors which turned against their commands."""
+        """The end of a message that names motors which were switched off, and why.
+
+        A weak motor whose load drives it fast is switched off, too: the words name both causes.
+        """
         labels = [self._session.joints[j].label for j in np.flatnonzero(self._turned)]
         if not labels:
             return ""
         return (
-            f"; {', '.join(labels)} turned against its commands, as with the other sign of torque "
-            "or position, and was switched off at once"
+            f"; switched off, as its joint went against its commands: {', '.join(labels)} (its "
+            "torque or position has the other sign, or something stronger than it drives the joint)"
         )
 
     def _switch_off(self, joints: Mask) -> None:

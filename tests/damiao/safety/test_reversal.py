@@ -113,3 +113,9 @@ def test_after_a_motor_was_switched_off_what_moves_then_is_not_judged():
         speed = np.array([0.0, 5.0 * k])
         reversal.add(0.01 * k, 0.1 * speed, speed, -speed, np.zeros(2))
     assert not np.any(reversal.search(np.full(2, INERTIA)))
+
+
+def test_a_weak_motor_that_its_load_drives_fast_is_better_off():
+    # The message of a run names this cause, too.
+    seconds = 0.5
+    assert search_after(seconds, sign=0.1, load=20.0)
