@@ -500,13 +500,17 @@ class Player:
 
     @property
     def _reversed_motors(self) -> str:
-        """The beginning of a message that names the motors which turned against their commands."""
+        """The beginning of a message that names motors which were switched off, and why.
+
+        A weak motor whose load drives it fast is switched off, too: the words name both causes.
+        """
         labels = [self._session.joints[j].label for j in np.flatnonzero(self._turned)]
         if not labels:
             return ""
         return (
-            f"{', '.join(labels)} turned against its commands, as with the other sign of torque or "
-            "position, and was switched off at once; seen first: "
+            f"{', '.join(labels)} was switched off, as its joint went against its commands (its "
+            "torque or position has the other sign, or something stronger than it drives the "
+            "joint); seen first: "
         )
 
     def _switch_off(self, joints: Mask) -> None:
@@ -516,13 +520,27 @@ class Player:
         self._watch.failed |= joints
 
     def _switch_off_reversed(self) -> None:
-        """Disable the motor that turns against its command, if one does."""
-        q, _ = self._session.believed_motion
-        reversed_motor = self._reversal.search(self._holding.inertia(q))
-        if np.any(reversed_motor):
-            self._switch_off(reversed_motor)
-            self._turned |= reversed_motor
-            self._reversal.restart(self._clock.now())
+        """Disable the motor that turns against its command, if one does.
+
+        Where another motor does not drive, its link falls and throws the other joints; and of late
+        answers it cannot be told.
+        """
+        watch = self._watch
+        is_falling = np.any(watch.failed & ~self._turned) or watch.health.is_untimely
+        # What fails here must not keep the stop from carrying the arm.
+        with contextlib.suppress(Exception):
+            q, _ = self._session.believed_motion
+            found = self._reversal.search(self._holding.inertia(q))
+            if np.any(found) and not is_falling:
+                self._switch_off(found)
+                self._turned |= found
+                self._reversal.restart(self._clock.now())
+
+    def _switch_off_frozen(self, replies: Replies) -> None:
+        """Disable motors whose position is frozen while their joint moves: they wind it up."""
+        frozen = self._watch.frozen_joints(replies) & ~self._watch.to_switch_off
+        if np.any(frozen):
+            self._switch_off(frozen)
 
     def _carry_from(self, reference: Reference) -> CarriedStop:
         """Return the reference that stops the arm, from the last reference and the believed state.
@@ -585,6 +603,7 @@ class Player:
             with contextlib.suppress(BaseException):
                 target = reference(deadline - origin)
                 replies, acted = self._exchange(target, braking=True)
+                self._switch_off_frozen(replies)
                 self._switch_off_reversed()
                 if self._recorder:
                     time = self._clock.now() - self._origin

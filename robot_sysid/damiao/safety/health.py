@@ -22,11 +22,17 @@ _DECAY = 0.95
 """Share of such a count that is left after a cycle: with more, damaged frames would add up."""
 _LOST_DECAY = 0.99
 """The same of commands without an answer: it is a count of about a hundred cycles."""
+_FAIR = 0.5
+"""Share of the commands without an answer that stop a run, below which answers can be trusted."""
 _DECAYS = np.array([_LOST_DECAY, _DECAY, _DECAY])
 CONFIRMED = 2
 """Number of equal reports of a status that are the motor's own: one may be a damaged frame."""
 # What is said of a motor that reports that it is disabled.
 _STARTED_AGAIN = "was switched off, or started again"
+_DEAD_BUS = (
+    "the motors did not answer in time to {silent} commands in a row, none of them: look at the "
+    "adapter, its cable, the bus and the motors' supply"
+)
 
 
 class BusHealth:
@@ -57,6 +63,8 @@ class BusHealth:
         self.silent, self._doubted, self.total_missed = np.zeros((3, n_joints), int)
         self.unheard = np.zeros(n_joints, int)
         self._counts = np.zeros((3, n_joints))
+        # Number of commands in a row to which nothing came, believed or not.
+        self._absent = np.zeros(n_joints, int)
         self.failed = np.zeros(n_joints, bool)
         self.commanded, self.late, self.doubted = np.zeros((3, n_joints), int)
         self.reports: list[Counter[int]] = [Counter() for _ in joints]
@@ -97,6 +105,7 @@ class BusHealth:
         self.doubted += replies.doubted
         reported = replies.reported
         came = reported != NO_STATUS
+        self._absent = np.where(came, 0, self._absent + replies.requested)
         is_idle = came & (reported != ENABLED)
         for j in is_idle.nonzero()[0].tolist():
             self.reports[j][int(reported[j])] += 1
@@ -105,6 +114,13 @@ class BusHealth:
         self._repeated = np.where(came, repeated, self._repeated)
         self._idle = np.where(came, is_idle * (self._idle + 1), self._idle)
         self._status = np.where(came, reported, self._status)
+
+    @property
+    def is_untimely(self) -> bool:
+        """Whether some motor has sent nothing for some time, or answers of the bus come late."""
+        is_dead = self._absent >= self._settings.max_missed
+        is_late = self._counts[0] > _FAIR * self._settings.max_lost
+        return bool(np.any(is_dead | is_late))
 
     @property
     def _is_confirmed(self) -> Mask:
@@ -157,6 +173,8 @@ class BusHealth:
                 "sound",
             ),
         )
+        if is_silent.all() and len(is_silent) > 1:
+            raise HardwareAbort(_DEAD_BUS.format(silent=self.silent.min()))
         for mask, text in faults:
             for j in mask.nonzero()[0].tolist():
                 description = text.format(

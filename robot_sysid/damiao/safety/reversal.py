@@ -35,7 +35,7 @@ _LEAST_RISE = 0.5
 """By how much its speed has left its reference's [rad/s]: rounding and friction make less."""
 _MOST = 0.7
 """Share of its present speed that has to be explained: a short time is explained by any signs."""
-_MISFIT = 0.1
+_MISFIT = 0.06
 """Root mean square of what is not explained, over that of the speed. A push that grows with the
 square of time leaves 0.2 and more."""
 _BRAKED = 0.5
@@ -118,11 +118,12 @@ class Reversal:
         is_against = np.any(fits[:, : 1 - _LEAST_SAMPLES], axis=(0, 1))
         is_against |= np.abs(beyond[-1]) > self._braked
         # The control pulls it back, by more than friction could need.
-        is_against &= away * (needed - torque)[-1] > self._doubt
-        is_against &= np.abs(beyond[-1]) > _LEAST_RISE
-        power = np.where(is_against, -torque[-1] * beyond[-1], 0.0)
+        is_pulled = away * (needed - torque)[-1] > self._doubt
+        is_pulled &= np.abs(beyond[-1]) > _LEAST_RISE
+        # Of all of these, also of those that nothing explains yet.
+        power = np.where(is_pulled, -torque[-1] * beyond[-1], 0.0)
         j = int(np.argmax(power))
-        found[j] = power[j] > 0.0
+        found[j] = power[j] > 0.0 and is_against[j]
         return found
 
     def restart(self, time: float, after: float = _SETTLING) -> None:

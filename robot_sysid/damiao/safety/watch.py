@@ -240,6 +240,8 @@ class Watch:
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
         self._repeats_since = np.zeros((2, n_joints))
+        # Way (n,) that the reported speed says since the reported position has changed last [rad].
+        self._way_without_change = np.zeros(n_joints)
         self._stale, self.stuck, self.to_switch_off = np.zeros((3, n_joints), bool)
         self.health = BusHealth(joints, settings)
         self.failed = self.health.failed
@@ -528,15 +530,34 @@ class Watch:
         is_frozen = is_led & follows & (led_by > _TURNING_WAY)
         is_frozen &= turned_by > 2.0 * self._doubt
         # Answers that stay the same at a velocity of more than two steps per cycle are old, too.
-        moves = (
-            np.abs(feedback.velocity) * self._settings.period
-            > 2.0 * self._position_step
-        )
+        moves = self._is_moving(feedback.velocity)
         self._stale = (is_same & moves) | (is_led & ~follows)
         self.stuck |= is_frozen
         self.to_switch_off |= is_frozen
         for j in (is_frozen | (is_led & ~follows)).nonzero()[0].tolist():
             self._raise(j, _REPEATS.format(feedback.position[j], led_by[j]))
+
+    def frozen_joints(self, replies: Replies) -> Mask:
+        """Return whether the position of each joint (n,) stays the same while its speed moves it.
+
+        It is asked in every cycle of a stop, in which nothing else is checked: the stiffness of a
+        stop would wind such a joint up.
+        """
+        feedback = replies.feedback
+        moves = self._is_moving(feedback.velocity)
+        is_same = replies.answered & moves & (feedback.position == self._last[1])
+        way = np.abs(without_nan(feedback.velocity)) * self._settings.period
+        begins = replies.answered & ~is_same
+        self._way_without_change = np.where(
+            begins, 0.0, self._way_without_change + is_same * way
+        )
+        sample = np.array([replies.time, feedback.position, feedback.velocity])
+        self._last = np.where(replies.answered, sample, self._last)
+        return self._way_without_change > _TURNING_WAY
+
+    def _is_moving(self, velocity: Array) -> Mask:
+        """Return whether joints (n,) move by more than two steps of the position in a cycle."""
+        return np.abs(velocity) * self._settings.period > 2.0 * self._position_step
 
     def check_holding(self, q: Array) -> None:
         """Raise HardwareAbort for a joint that does not hold the arm still at q (n,) [rad]."""

@@ -18,12 +18,21 @@ VELOCITY_STEP = 20.0 / 4095
 
 
 def search_after(
-    seconds, rate=250.0, *, sign=1.0, counts=1.0, load=0.0, kp=100.0, push=None
+    seconds,
+    rate=250.0,
+    *,
+    sign=1.0,
+    counts=1.0,
+    load=0.0,
+    kp=100.0,
+    push=None,
+    beside=0.0,
 ):
     """Return whether the second joint's motor is found after something has gone wrong for so long.
 
     Its torque is ``sign`` times that of its law, its encoder counts ``counts`` times, its weight is
-    ``load`` [N m], and ``push(t)`` [N m] acts on it.
+    ``load`` [N m], and ``push(t)`` [N m] acts on it. The joint ``beside`` it is thrown about with
+    up to so much [rad/s] against its motor's peak torque.
     """
     reversal = Reversal(JOINTS)
     kd = kp / 40.0
@@ -45,11 +54,12 @@ def search_after(
         speed = np.round(counted * qd / VELOCITY_STEP) * VELOCITY_STEP
         off = counted * q
         law = -kp * off - kd * speed + load
+        thrown = beside * np.cos(0.5 * (k - seconds * rate))
         reversal.add(
             k / rate,
             np.array([0.0, off]),
-            np.array([0.0, speed]),
-            np.array([0.0, law]),
+            np.array([thrown, speed]),
+            np.array([-np.copysign(PEAK, thrown) if beside else 0.0, law]),
             np.array([0.0, load]),
         )
     found = reversal.search(np.full(2, INERTIA))
@@ -87,6 +97,15 @@ def test_a_push_is_not(force, rise, seconds):
     assert not search_after(seconds, push=lambda t: force * min(t / rise, 1.0))
 
 
+def test_none_is_beside_a_joint_that_is_thrown_with_more_power():
+    # Both motors are the same, and neither makes more than its peak torque.
+    moments = [k / 250.0 for k in range(2, 100)]
+    alone = [search_after(t, sign=-1.0, load=6.0) for t in moments]
+    found_at = moments[alone.index(True)]
+    assert not search_after(found_at, sign=-1.0, load=6.0, beside=2.6)
+    assert search_after(found_at, sign=-1.0, load=6.0, beside=0.4)
+
+
 def test_after_a_motor_was_switched_off_what_moves_then_is_not_judged():
     reversal = Reversal(JOINTS)
     reversal.restart(0.0)
@@ -94,3 +113,9 @@ def test_after_a_motor_was_switched_off_what_moves_then_is_not_judged():
         speed = np.array([0.0, 5.0 * k])
         reversal.add(0.01 * k, 0.1 * speed, speed, -speed, np.zeros(2))
     assert not np.any(reversal.search(np.full(2, INERTIA)))
+
+
+def test_a_weak_motor_that_its_load_drives_fast_is_better_off():
+    # The message of a run names this cause, too.
+    seconds = 0.5
+    assert search_after(seconds, sign=0.1, load=20.0)
