@@ -270,8 +270,10 @@ class FaultyArm(SimulatedArm):
         super().advance(until)
 
     def step(self, torque, damping, duration):
-        torque = self._share * torque + self.push
-        super().step(torque, self._share * damping + self._jam, duration)
+        # The windings of a motor that does not drive brake whatever its torque was.
+        share = np.where(self.drives.driving, self._share, 1.0)
+        torque = share * torque + self.push
+        super().step(torque, share * damping + self._jam, duration)
         if not np.any(self.drives.driving):
             self.off_at = min(self.off_at, self.time)
         state = self.mechanism.q.copy(), self.mechanism.qd.copy()

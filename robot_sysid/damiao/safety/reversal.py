@@ -35,13 +35,13 @@ _LEAST_RISE = 0.5
 """By how much its speed has left its reference's [rad/s]: rounding and friction make less."""
 _MOST = 0.7
 """Share of its present speed that has to be explained: a short time is explained by any signs."""
-_MISFIT = 0.06
+_MISFIT = 0.1
 """Root mean square of what is not explained, over that of the speed. A push that grows with the
 square of time leaves 0.2 and more."""
-_BRAKED = 0.5
+_BRAKED = 0.3
 """Share of a motor's no-load speed from which on a joint that goes against its motor's torque is
-better off without it: by data sheets its shorted windings then brake with two to three times the
-peak torque (DM4310, DM4340)."""
+better off without it: by data sheets its shorted windings then brake with about the peak torque
+(DM8009, DM10010L) or twice that (DM4310, DM4340)."""
 _SAME_WAY = 0.3
 """By how much the way of the positions may differ from that of the speeds, as a share."""
 _SHARES = 0.5, 4.0

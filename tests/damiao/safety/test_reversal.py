@@ -102,7 +102,7 @@ def test_none_is_beside_a_joint_that_is_thrown_with_more_power():
     moments = [k / 250.0 for k in range(2, 100)]
     alone = [search_after(t, sign=-1.0, load=6.0) for t in moments]
     found_at = moments[alone.index(True)]
-    assert not search_after(found_at, sign=-1.0, load=6.0, beside=2.6)
+    assert not search_after(found_at, sign=-1.0, load=6.0, beside=1.5)
     assert search_after(found_at, sign=-1.0, load=6.0, beside=0.4)
 
 
