@@ -536,11 +536,11 @@ class Player:
                 self._turned |= found
                 self._reversal.restart(self._clock.now())
 
-    def _switch_off_frozen(self, replies: Replies) -> None:
-        """Disable motors whose position is frozen while their joint moves: they wind it up."""
-        frozen = self._watch.frozen_joints(replies) & ~self._watch.to_switch_off
-        if np.any(frozen):
-            self._switch_off(frozen)
+    def _switch_off_misled(self, replies: Replies) -> None:
+        """Disable motors whose position does not go as their joint does: they wind it up."""
+        misled = self._watch.misled_joints(replies) & ~self._watch.to_switch_off
+        if np.any(misled):
+            self._switch_off(misled)
 
     def _carry_from(self, reference: Reference) -> CarriedStop:
         """Return the reference that stops the arm, from the last reference and the believed state.
@@ -603,7 +603,7 @@ class Player:
             with contextlib.suppress(BaseException):
                 target = reference(deadline - origin)
                 replies, acted = self._exchange(target, braking=True)
-                self._switch_off_frozen(replies)
+                self._switch_off_misled(replies)
                 self._switch_off_reversed()
                 if self._recorder:
                     time = self._clock.now() - self._origin

@@ -106,6 +106,9 @@ _LEAST_REPEATS = 3
 _LED_STEPS = 20.0
 _FOLLOWS_SHARE = 0.075
 _TURNING_WAY = 0.03
+# How far a position may leave the way of its speed in a stop [rad]: the oldest velocity and the
+# fastest brake make half of it.
+_MOST_SLIP = 0.1
 # Rows of the watch: which of the three disagrees, then its two numbers.
 _ROWS = (
     "position: it is at {:.3f} rad, and commanded to {:.3f}",
@@ -240,8 +243,8 @@ class Watch:
         # (2, n) when they began.
         self._repeats = np.zeros(n_joints, int)
         self._repeats_since = np.zeros((2, n_joints))
-        # Way (n,) that the reported speed says since the reported position has changed last [rad].
-        self._way_without_change = np.zeros(n_joints)
+        # By how much positions (n,) have left the way of their speeds in a stop [rad].
+        self._slip = np.zeros(n_joints)
         self._stale, self.stuck, self.to_switch_off = np.zeros((3, n_joints), bool)
         self.health = BusHealth(joints, settings)
         self.failed = self.health.failed
@@ -530,34 +533,29 @@ class Watch:
         is_frozen = is_led & follows & (led_by > _TURNING_WAY)
         is_frozen &= turned_by > 2.0 * self._doubt
         # Answers that stay the same at a velocity of more than two steps per cycle are old, too.
-        moves = self._is_moving(feedback.velocity)
+        moves = (
+            np.abs(feedback.velocity) * self._settings.period
+            > 2.0 * self._position_step
+        )
         self._stale = (is_same & moves) | (is_led & ~follows)
         self.stuck |= is_frozen
         self.to_switch_off |= is_frozen
         for j in (is_frozen | (is_led & ~follows)).nonzero()[0].tolist():
             self._raise(j, _REPEATS.format(feedback.position[j], led_by[j]))
 
-    def frozen_joints(self, replies: Replies) -> Mask:
-        """Return whether the position of each joint (n,) stays the same while its speed moves it.
+    def misled_joints(self, replies: Replies) -> Mask:
+        """Return whether the position of each joint (n,) does not go as its speed says.
 
-        It is asked in every cycle of a stop, in which nothing else is checked: the stiffness of a
-        stop would wind such a joint up.
+        It is asked in every cycle of a stop, in which nothing else is checked: by a position that
+        stays while the joint moves, the stiffness of a stop winds the joint up.
         """
         feedback = replies.feedback
-        moves = self._is_moving(feedback.velocity)
-        is_same = replies.answered & moves & (feedback.position == self._last[1])
-        way = np.abs(without_nan(feedback.velocity)) * self._settings.period
-        begins = replies.answered & ~is_same
-        self._way_without_change = np.where(
-            begins, 0.0, self._way_without_change + is_same * way
-        )
         sample = np.array([replies.time, feedback.position, feedback.velocity])
+        passed, change, _ = sample - self._last
+        way = 0.5 * (sample[2] + self._last[2]) * passed
+        self._slip += without_nan(replies.answered * (change - way))
         self._last = np.where(replies.answered, sample, self._last)
-        return self._way_without_change > _TURNING_WAY
-
-    def _is_moving(self, velocity: Array) -> Mask:
-        """Return whether joints (n,) move by more than two steps of the position in a cycle."""
-        return np.abs(velocity) * self._settings.period > 2.0 * self._position_step
+        return np.abs(self._slip) > _MOST_SLIP
 
     def check_holding(self, q: Array) -> None:
         """Raise HardwareAbort for a joint that does not hold the arm still at q (n,) [rad]."""

@@ -117,3 +117,17 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
         both = np.ones(2, bool)
         replies = undoubted_replies(both, np.full(2, k * cycle), now, both)
         watched.check(replies, command, reference_of(command))
+
+
+@pytest.mark.parametrize(("moves", "is_misled"), [(True, False), (False, True)])
+def test_a_position_that_does_not_go_as_its_speed_is_not_trusted_in_a_stop(
+    moves, is_misled
+):
+    watched = watch()
+    found = np.zeros(2, bool)
+    for k in range(100):
+        q = moves * 1.0 * k * CYCLE
+        command = mit_command(np.zeros(2), 0.0, KP, KD)
+        replies, _ = cycle(k, command, True, [0.0, q], [0.0, 1.0], [0.0, 0.0])
+        found |= watched.misled_joints(replies)
+    assert found.tolist() == [False, is_misled]
