@@ -414,21 +414,22 @@ class Watch:
         """
         tau, commanded, fed, added, _ = self._short[4:]
         long_tau, long_commanded, long_fed, _, _ = self._long[4:]
-        aged, long_aged = (
-            _OLDEST * (self._torque_per_age * speed + self._kd * turn)
-            for turn, speed in (
-                (self._short[0], np.abs(self._short[2])),
-                (self._long[0], self._long[2]),
-            )
-        )
-        yield _Comparison(tau, commanded, self._torque_error + aged)
+        yield _Comparison(tau, commanded, self._torque_error + self._aged(self._short))
         long_bound = _LONG_TORQUE_SHARE * long_commanded + self._long_torque_floor
-        long_bound = long_bound + long_aged
+        long_bound = long_bound + self._aged(self._long)
         yield _Comparison(long_tau, long_commanded, long_bound)
         yield _Comparison(tau, fed, self._most_beside_fed)
         # A wrong model gets half of a change of the feed-forward torque wrong.
         needed_bound = load + 0.5 * np.abs(fed - long_fed)
         yield _Comparison(fed + added, fed + self._usually_added(), needed_bound)
+
+    def _aged(self, means: Array) -> Array:
+        """Return by how much a torque (n,) is off whose position and velocity are older [N m].
+
+        ``means`` are those over 0.1 or 1 s.
+        """
+        turn, _, speed, *_ = means
+        return _OLDEST * (self._torque_per_age * np.abs(speed) + self._kd * turn)
 
     def _load_bound(self, stands: Mask, followed: Reference) -> Array:
         """Return by how much the torque that each joint (n,) needs may change within a second.
@@ -494,6 +495,7 @@ class Watch:
         helped = np.where(is_lifted, 0.0, self._friction)
         # Where the weights of two links cancel, the model may have the sign wrong.
         least = np.abs(weight) - error
+        helped = helped + self._aged(self._short)
         is_opposite = sign * carried + helped < np.minimum(least, -0.5 * self._doubt)
         # Nothing but its motor lifts a joint, so that a smaller load is judged there.
         least_load = np.where(is_lifted, 1.0, LOADED) * self._doubt
