@@ -43,6 +43,9 @@ OBSERVED = 1.0
 """How long after a stop begins it is observed [s]; the motors may be disabled before."""
 LATER = 0.1
 """From when on after a stop begins joints have lost the speed that they had then [s]."""
+AT_END = 5e-3
+"""How near a joint is to its stop in a step in which it rebounds from that [rad]: it goes so far in
+a step at 5 rad/s."""
 STEP = 0.02
 WINDOW_BEFORE = 0.1
 WINDOW_AFTER = 0.5
@@ -482,7 +485,9 @@ def _other_ends(case, record):
 def _hit_at(case, record):
     """Return until when a joint without a motor has not hit its stop, which throws others [s]."""
     limits = case.setup.robot.limits
-    is_at_end = (record.q <= limits.lower) | (record.q >= limits.upper)
+    is_at_end = (record.q <= limits.lower + AT_END) | (
+        record.q >= limits.upper - AT_END
+    )
     is_hit = np.any(is_at_end, axis=1) & (
         getattr(case.cause, "values", {}).get("silent", False)
     )

@@ -449,7 +449,7 @@ INCIDENTS = (
         LIKE_ANOTHER,
         {
             "pendulums": pendulums(
-                fault(1, peak_torque=0.05), SLOWLY, "2 disagrees in torque: it reports"
+                fault(1, peak_torque=0.05), "11 10 00", "2 disagrees in torque: it reports"
             )
         },
         SAME_PROGRAM,
@@ -528,7 +528,7 @@ INCIDENTS = (
         "answers of one motor frozen",
         LIKE_ANOTHER,
         {
-            "kinova": kinova(shoulder(is_stale=True), SPEED),
+            "kinova": kinova(shoulder(is_stale=True), REPEATS),
             "worn": worn(shoulder(is_stale=True)),
         },
         SAME_PROGRAM,
@@ -736,7 +736,7 @@ INCIDENTS = (
     # The set-up.
     Incident(
         "second motor of the same id, wrist",
-        sample_case(SECOND, partial(watched_samples.count_frames, 4, surplus=[0, 1])),
+        sample_case(SECOND, partial(watched_samples.count_frames, 7, surplus=[0, 1])),
         {"kinova": kinova(SecondMotor(WRIST), SECOND)},
         SAME_PROGRAM,
     ),

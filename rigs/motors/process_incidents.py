@@ -46,8 +46,8 @@ def send_signals(*names, apart=0.0):
 
 
 def close_console(player):
-    """Close the pipes that the program prints into."""
-    player.stdout.close()
+    """End the program that reads what is printed, as ``head`` does."""
+    player.reader.kill()
 
 
 def small_files_only():
@@ -152,13 +152,17 @@ def play(folder: Path, incident: ProcessCase) -> tuple[RunRecord, int, str]:
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True, preexec_fn=incident.prepare,
         )  # fmt: skip
-        # A console that is closed meanwhile says nothing more.
-        with contextlib.suppress(ValueError):
-            for line in player.stdout:
-                hear(line)
+        player.reader = subprocess.Popen(
+            ["cat"], stdin=player.stdout, stdout=subprocess.PIPE, text=True
+        )
+        # A pipe lives as long as anybody may read it.
+        player.stdout.close()
+        for line in player.reader.stdout:
+            hear(line)
         said.append(player.stderr.read())
         code = player.wait(PATIENCE)
-        player.stdout.close()
+        player.reader.wait()
+        player.reader.stdout.close()
         player.stderr.close()
         time.sleep(SINKS)
 

@@ -456,7 +456,8 @@ class Player:
         self._reversal.add(
             self._clock.now(),
             trusted_q - acted.position,
-            trusted_qd - acted.velocity,
+            trusted_qd,
+            acted.velocity,
             motor_torque,
             self._needed,
         )

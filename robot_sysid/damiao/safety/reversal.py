@@ -61,27 +61,26 @@ class Reversal:
         self._peak = peak_torques(joints)
         self._doubt = torque_doubt(joints)
         self._braked = _BRAKED * no_load_speeds(joints)
-        # Rows of time, and of distance from the reference, speed beyond the reference's, torque
+        # Rows of time, and of distance from the reference, speed, speed of the reference, torque
         # and needed torque (n,) each.
-        self._samples: deque[tuple[float, Array, Array, Array, Array]] = deque()
+        self._samples: deque[tuple[float, Array, Array, Array, Array, Array]] = deque()
         self._ready_at = -np.inf
 
-    def add(
-        self, time: float, off: Array, beyond: Array, torque: Array, needed: Array
-    ) -> None:
+    def add(self, time: float, off: Array, *signals: Array) -> None:
         """Take a sample.
 
         Args:
             time: of the sample [s].
             off: (n,) position of the joints minus that of their reference [rad].
-            beyond: (n,) speed of the joints minus that of their reference [rad/s].
-            torque: (n,) that the motors make by their commands [N m].
-            needed: (n,) that sound joints need to follow the reference [N m].
+            signals: (n,) speed of the joints and of their reference [rad/s], the torque that the
+                motors make by their commands, and that which sound joints need to follow the
+                reference [N m].
         """
         if time < self._ready_at:
             return
+        speed, led, torque, needed = signals
         limited = np.clip(torque, -self._peak, self._peak)
-        self._samples.append((time, off, beyond, limited, needed))
+        self._samples.append((time, off, speed, led, limited, needed))
         while time - self._samples[0][0] > _SPAN:
             self._samples.popleft()
 
@@ -97,7 +96,8 @@ class Reversal:
         found = np.zeros(len(self._peak), bool)
         if len(self._samples) < _LEAST_SAMPLES:
             return found
-        time, off, beyond, torque, needed = map(np.array, zip(*self._samples))
+        time, off, speed, led, torque, needed = map(np.array, zip(*self._samples))
+        beyond = speed - led
         passed = np.diff(time, prepend=time[0])[:, None]
         # What acts on the joints by either sign: its integral (2, N, n) since the first sample.
         acting = np.stack([-torque - needed, -torque + needed])
@@ -116,9 +116,12 @@ class Reversal:
         fits = (misfit < _MISFIT) & (share > least) & (share < most)
         fits &= (rise > _LEAST_RISE) & (rise > _MOST * np.abs(beyond[-1])) & agrees
         is_against = np.any(fits[:, : 1 - _LEAST_SAMPLES], axis=(0, 1))
-        is_against |= np.abs(beyond[-1]) > self._braked
+        # Faster and faster, and too fast for its motor.
+        pace = np.abs(speed)
+        is_against |= (pace[-1] > self._braked) & (pace[-1] > pace[-_LEAST_SAMPLES])
         # The control pulls it back, by more than friction could need.
-        is_pulled = away * (needed - torque)[-1] > self._doubt
+        pulling = away * (needed - torque)[-_LEAST_SAMPLES:]
+        is_pulled = np.all(pulling > self._doubt, axis=0)
         is_pulled &= np.abs(beyond[-1]) > _LEAST_RISE
         # Of all of these, also of those that nothing explains yet.
         power = np.where(is_pulled, -torque[-1] * beyond[-1], 0.0)

@@ -70,6 +70,8 @@ _LATE = 0.01
 # Cycles by which position, velocity and torque in an answer may differ in age: what a motor's
 # firmware does, no manual says.
 _OLDEST = 2.0
+# Squared speed that stands for none where it is divided by [rad^2/s^2].
+_TINY = 1e-12
 # Cycles from one sample to the next one: more where answers are missing.
 _NEXT = 1.5
 # Factor by which a joint may slow down within a cycle before its samples say nothing of its speed:
@@ -208,6 +210,9 @@ class Watch:
         # velocity, per change of it.
         self._torque_per_age = settings.period * kp
         self._kd = np.array(settings.kd)
+        # Means over 1 s (2, n) of reported minus commanded torque times the speed, and of the
+        # squared speed: their ratio is what an older position makes.
+        self._of_speed = np.zeros((2, n_joints))
         rated = np.array([joint.spec.rated_torque for joint in joints])
         # How far a standing joint may sag: an arm half a radian from the first point, or with a new
         # load, needs half of this. And how far it may go where its own torque pushes it.
@@ -315,6 +320,16 @@ class Watch:
         # A command is held for a cycle, at whose end the joint is sampled: it has moved on for half
         # a cycle since the mean, and stiffness makes that much less torque.
         hold_loss = 0.5 * self._settings.period * acted.kp * feedback.velocity
+        share = -np.expm1(-passed / _LONG) * is_usable
+        speed = feedback.velocity
+        beside = (feedback.torque - commanded) * speed
+        self._of_speed += without_nan(
+            share * (np.array([beside, speed**2]) - self._of_speed)
+        )
+        oldest = _OLDEST * self._torque_per_age
+        along, square = self._of_speed
+        per_speed = (along / np.maximum(square, _TINY)).clip(-oldest, oldest)
+        of_age = per_speed * speed
         signals = np.array(
             [
                 np.abs(turn),
@@ -322,7 +337,7 @@ class Watch:
                 0.5 * (sample[2] + self._last[2]),
                 acted.velocity,
                 feedback.torque,
-                commanded.clip(-self._peak, self._peak),
+                (commanded + of_age).clip(-self._peak, self._peak),
                 acted.torque,
                 commanded - acted.torque + hold_loss,
                 np.sign(acted.velocity)
@@ -337,7 +352,6 @@ class Watch:
         self._short = np.where(is_usable, self._short + change, self._short)
         means = self._short.copy()
         np.abs(means[:6], out=means[:6])
-        share = -np.expm1(-passed / _LONG) * is_usable
         self._long += share * (means - self._long)
         self._drift += share * (self._short[1:3] - self._drift)
         if phase.rises:
@@ -414,9 +428,13 @@ class Watch:
         """
         tau, commanded, fed, added, _ = self._short[4:]
         long_tau, long_commanded, long_fed, _, _ = self._long[4:]
-        yield _Comparison(tau, commanded, self._torque_error + self._aged(self._short))
+        # The age of the position is in the commanded torque already.
+        aged, long_aged = (
+            _OLDEST * self._kd * turn for turn in (self._short[0], self._long[0])
+        )
+        yield _Comparison(tau, commanded, self._torque_error + aged)
         long_bound = _LONG_TORQUE_SHARE * long_commanded + self._long_torque_floor
-        long_bound = long_bound + self._aged(self._long)
+        long_bound = long_bound + long_aged
         yield _Comparison(long_tau, long_commanded, long_bound)
         yield _Comparison(tau, fed, self._most_beside_fed)
         # A wrong model gets half of a change of the feed-forward torque wrong.

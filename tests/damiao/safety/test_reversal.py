@@ -59,6 +59,7 @@ def search_after(
             k / rate,
             np.array([0.0, off]),
             np.array([thrown, speed]),
+            np.zeros(2),
             np.array([-np.copysign(PEAK, thrown) if beside else 0.0, law]),
             np.array([0.0, load]),
         )
@@ -111,7 +112,7 @@ def test_after_a_motor_was_switched_off_what_moves_then_is_not_judged():
     reversal.restart(0.0)
     for k in range(10):
         speed = np.array([0.0, 5.0 * k])
-        reversal.add(0.01 * k, 0.1 * speed, speed, -speed, np.zeros(2))
+        reversal.add(0.01 * k, 0.1 * speed, speed, 0.0 * speed, -speed, 0.0 * speed)
     assert not np.any(reversal.search(np.full(2, INERTIA)))
 
 
