@@ -59,6 +59,10 @@ def small_files_only():
     resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 
 
+STOPPED_CODE = 3
+"""Exit code of a run that was stopped."""
+
+
 @dataclass(frozen=True)
 class ProcessCase:
     """Something that happens to the program, and what has to come of it.
@@ -172,8 +176,9 @@ def play(folder: Path, incident: ProcessCase) -> tuple[RunRecord, int, str]:
     end = now[np.argmax(is_off)] if np.any(is_off) else np.inf
     if not moments:
         raise SystemExit("".join(said))
-    stop_at = moments.get("stop")
     onset = min(moments.values())
+    # A stop that nobody heard of began at once.
+    stop_at = moments.get("stop", onset if code == STOPPED_CODE else None)
     q = np.transpose(positions)
     phases = [(since, "enabled")]
     nobody = np.zeros((0, 2))
