@@ -44,7 +44,8 @@ class BusHealth:
 
     Attributes:
         silent: (n,) number of commands in a row without a believed answer.
-        unheard: (n,) the same without one that carries the believed position on, either.
+        unheard: (n,) number of cycles in a row without an answer that is believed or carries the
+            believed position on.
         commanded: (n,) number of all commands and requests.
         total_missed: (n,) number of those without a believed answer.
         late: (n,) number of answers that no command of their cycle awaited.
