@@ -449,7 +449,7 @@ INCIDENTS = (
         LIKE_ANOTHER,
         {
             "pendulums": pendulums(
-                fault(1, peak_torque=0.05), "11 10 00", "2 disagrees in torque: it reports"
+                fault(1, peak_torque=0.05), "11 10 00", "2 disagrees in"
             )
         },
         SAME_PROGRAM,

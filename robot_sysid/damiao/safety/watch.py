@@ -428,13 +428,10 @@ class Watch:
         """
         tau, commanded, fed, added, _ = self._short[4:]
         long_tau, long_commanded, long_fed, _, _ = self._long[4:]
-        # The age of the position is in the commanded torque already.
-        aged, long_aged = (
-            _OLDEST * self._kd * turn for turn in (self._short[0], self._long[0])
-        )
-        yield _Comparison(tau, commanded, self._torque_error + aged)
+        yield _Comparison(tau, commanded, self._torque_error + self._aged(self._short))
         long_bound = _LONG_TORQUE_SHARE * long_commanded + self._long_torque_floor
-        long_bound = long_bound + long_aged
+        # In a second the age of the position has shown, and is in the commanded torque.
+        long_bound = long_bound + _OLDEST * self._kd * self._long[0]
         yield _Comparison(long_tau, long_commanded, long_bound)
         yield _Comparison(tau, fed, self._most_beside_fed)
         # A wrong model gets half of a change of the feed-forward torque wrong.
