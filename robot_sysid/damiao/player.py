@@ -452,16 +452,11 @@ class Player:
         motor_torque = acted.motor_torque(q, qd)
         if not braking:
             self._needed = torque + self._watch.usually_added
-        trusted_q, trusted_qd = self._trusted_motion
-        self._reversal.add(
-            self._clock.now(),
-            trusted_q - acted.position,
-            trusted_qd,
-            acted.velocity,
-            motor_torque,
-            self._needed,
-        )
-        self._follower.follow(*self._trusted_motion, motor_torque)
+        q, qd = self._trusted_motion
+        off = q - acted.position
+        signals = qd, acted.velocity, motor_torque, self._needed
+        self._reversal.add(self._clock.now(), off, *signals)
+        self._follower.follow(q, qd, motor_torque)
         if replies.answered.any():
             self._heard_at = self._clock.now()
         return replies, acted
@@ -527,12 +522,13 @@ class Player:
         answers it cannot be told.
         """
         watch = self._watch
-        is_falling = np.any(watch.failed & ~self._turned) or watch.health.is_untimely
+        if np.any(watch.failed & ~self._turned) or watch.health.is_untimely:
+            return
         # What fails here must not keep the stop from carrying the arm.
         with contextlib.suppress(Exception):
             q, _ = self._session.believed_motion
             found = self._reversal.search(self._holding.inertia(q))
-            if np.any(found) and not is_falling:
+            if np.any(found):
                 self._switch_off(found)
                 self._turned |= found
                 self._reversal.restart(self._clock.now())

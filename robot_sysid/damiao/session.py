@@ -351,12 +351,15 @@ class MotorSession:
         elapsed = np.minimum(now - self._moved_until, _LONGEST_GAP)
         q = self.position_now
         allowed = confine(command, self.limits, self.sent_position, elapsed, q)
-        # A joint that missed commands lags behind: what its motor makes leads it back.
-        is_confined = braking | (now < self._led_back_until)
-        if is_confined.any():
-            pairs = zip(allowed, command)
-            command = MitCommand(*(np.where(is_confined, *pair) for pair in pairs))
-        require_allowed(self._labels, command, allowed, q, self.steps)
+        if braking:
+            command = allowed
+        else:
+            # A joint that missed commands lags behind: what its motor makes leads it back.
+            is_led_back = now < self._led_back_until
+            if is_led_back.any():
+                pairs = zip(allowed, command)
+                command = MitCommand(*(np.where(is_led_back, *pair) for pair in pairs))
+            require_allowed(self._labels, command, allowed, q, self.steps)
         packed = encode_mit(self._mounting.command(command), self.scaling)
         commanded = joints if braking else self._outstanding.may_be_commanded(joints)
         self._led_back_until[joints & ~commanded] = now + _LEADING_BACK

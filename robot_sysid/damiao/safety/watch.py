@@ -206,10 +206,11 @@ class Watch:
         self._shift = holding.position_shift()
         kp = np.maximum(settings.kp, 1e-9)
         self._spring = _SUDDEN_ERROR * kp
-        # Torque by which a position that is a cycle older differs, per speed; and by an older
-        # velocity, per change of it.
-        self._torque_per_age = settings.period * kp
-        self._kd = np.array(settings.kd)
+        # Torque by which the oldest position differs, per speed; and by the oldest velocity, per
+        # change of it in a cycle. And how late velocities may be [s].
+        self._of_old_position = _OLDEST * settings.period * kp
+        self._of_old_velocity = _OLDEST * np.array(settings.kd)
+        self._late = max(_LATE, _OLDEST * settings.period)
         # Means over 1 s (2, n) of reported minus commanded torque times the speed, and of the
         # squared speed: their ratio is what an older position makes.
         self._of_speed = np.zeros((2, n_joints))
@@ -323,11 +324,10 @@ class Watch:
         share = -np.expm1(-passed / _LONG) * is_usable
         speed = feedback.velocity
         beside = (feedback.torque - commanded) * speed
-        self._of_speed += without_nan(
-            share * (np.array([beside, speed**2]) - self._of_speed)
-        )
-        oldest = _OLDEST * self._torque_per_age
+        found = np.array([beside, speed**2])
+        self._of_speed += without_nan(share * (found - self._of_speed))
         along, square = self._of_speed
+        oldest = self._of_old_position
         per_speed = (along / np.maximum(square, _TINY)).clip(-oldest, oldest)
         of_age = per_speed * speed
         signals = np.array(
@@ -413,8 +413,7 @@ class Watch:
         )
         # Positions that drift are not in these velocities. A right arm differs by a late velocity,
         # by its scale, and by rounding where it moves slowly.
-        late = max(_LATE, _OLDEST * self._settings.period)
-        drift_bound = _DRIFT + late * np.abs(speed - drift_speed)
+        drift_bound = _DRIFT + self._late * np.abs(speed - drift_speed)
         drift_bound = drift_bound + _SCALE * np.abs(drift_speed)
         drift_bound = drift_bound + 0.5 * self._velocity_step
         yield _Comparison(
@@ -431,7 +430,7 @@ class Watch:
         yield _Comparison(tau, commanded, self._torque_error + self._aged(self._short))
         long_bound = _LONG_TORQUE_SHARE * long_commanded + self._long_torque_floor
         # In a second the age of the position has shown, and is in the commanded torque.
-        long_bound = long_bound + _OLDEST * self._kd * self._long[0]
+        long_bound = long_bound + self._of_old_velocity * self._long[0]
         yield _Comparison(long_tau, long_commanded, long_bound)
         yield _Comparison(tau, fed, self._most_beside_fed)
         # A wrong model gets half of a change of the feed-forward torque wrong.
@@ -444,7 +443,7 @@ class Watch:
         ``means`` are those over 0.1 or 1 s.
         """
         turn, _, speed, *_ = means
-        return _OLDEST * (self._torque_per_age * np.abs(speed) + self._kd * turn)
+        return self._of_old_position * np.abs(speed) + self._of_old_velocity * turn
 
     def _load_bound(self, stands: Mask, followed: Reference) -> Array:
         """Return by how much the torque that each joint (n,) needs may change within a second.
