@@ -147,14 +147,17 @@ class MotorRows:
     def parts(self, ages: Array) -> Array:
         """Return feed-forward torque, stiffness and damping (N, 3) at ages (3,) [N m]."""
         of_command, of_position, of_velocity = ages
-        target = self._earlier("cmd_pos", of_command)
-        target_speed = self._earlier("cmd_vel", of_command)
         position = self._earlier("pos", of_position)
-        velocity = self._earlier("vel", of_velocity)
-        stiffness = self.kp * (target - position)
-        damping = self.kd * (target_speed - velocity)
+        return self._law(of_command, position, self._earlier("vel", of_velocity))
+
+    def _law(self, age: float, position: Array, speed: Array) -> Array:
+        """Return the parts (N, 3) of the command at an age, by positions and speeds (N,) [N m]."""
         return np.column_stack(
-            (self._earlier("cmd_tau", of_command), stiffness, damping)
+            (
+                self._earlier("cmd_tau", age),
+                self.kp * (self._earlier("cmd_pos", age) - position),
+                self.kd * (self._earlier("cmd_vel", age) - speed),
+            )
         )
 
     def columns(self, ages: Array) -> Array:
@@ -184,9 +187,7 @@ class MotorRows:
         speed = self._slope("pos", of_velocity, apart)
         return np.column_stack(
             (
-                self._earlier("cmd_tau", of_command),
-                self.kp * (self._earlier("cmd_pos", of_command) - position),
-                self.kd * (self._earlier("cmd_vel", of_command) - speed),
+                self._law(of_command, position, speed),
                 self._by_command(of_command),
                 self.kp * self._slope("pos", of_position, apart),
                 self.kd * self._slope("vel", of_velocity, apart),
