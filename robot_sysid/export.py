@@ -20,7 +20,7 @@ from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel, file_access
 from robot_sysid.records.controllers import ALL
-from robot_sysid.records.messages import Level, NextStep, Progress, says
+from robot_sysid.records.messages import Detail, Level, NextStep, Progress, says
 from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.records.quantities import CURVED
 from robot_sysid.results.cards import (
@@ -30,7 +30,7 @@ from robot_sysid.results.cards import (
     simulator_card,
 )
 from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
+from robot_sysid.results.lines import block_lines, folder_line, last_lines, more_lines
 from robot_sysid.results.record import Identification, ModelTarget
 from robot_sysid.results.verdicts import Verdict
 from robot_sysid.results.written_model import can_bend, versions, write_model
@@ -143,7 +143,7 @@ def save(
         removed = remove_earlier(files, config, result.robot, written)
     lines = (
         *block_lines(content, config.output.links),
-        f"Results saved to {folder_text(folder)}",
+        folder_line(folder, result.is_measured),
         *more_lines(content),
         *clamping,
     )
@@ -181,9 +181,9 @@ def _write_models(
             path = target.path / file_access.MODEL_NAMES[file_kind]
             model_target = replace(target, path=path)
             file_notes = write_model(result, model_target, as_body, file_kind)
-            if len(kinds) > 1:
-                # A detail stays one.
-                file_notes = tuple(type(n)(f"{path.name}: {n}") for n in file_notes)
+            if file_kind != result.model_kind:
+                # Of the file beside the one to use.
+                file_notes = tuple(Detail(f"{path.name}: {n}") for n in file_notes)
             notes += file_notes
             written.append(model_target.path)
     except ExportError:

@@ -53,7 +53,7 @@ from robot_sysid.model.ties import refuse_tied_joints
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.model.unstated import lacks_masses, with_bodies_of_geometry
 from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
-from robot_sysid.records.messages import LeastMassGiven
+from robot_sysid.records.messages import Detail, LeastMassGiven
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     Factor,
@@ -211,7 +211,7 @@ def _notes_on_options(
     """Yield sentences on how options change the model that the file states."""
     if gravity is not None:
         x, y, z = gravity
-        yield f"gravity is taken to act along ({x:g}, {y:g}, {z:g})"
+        yield Detail(f"gravity is taken to act along ({x:g}, {y:g}, {z:g})")
     if mass_scale is not None:
         times = (
             mass_scale if isinstance(mass_scale, RoughFactors) else f"{mass_scale:g}"

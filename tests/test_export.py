@@ -94,7 +94,7 @@ def test_an_mjcf_stands_beside_a_urdf_whose_meshes_mujoco_does_not_read(tmp_path
     assert "a written MJCF without them" in note
     output = save_result(heavier(robot), out)
     assert names_in(out) == ["params.json", "updated_model.urdf", "updated_model.xml"]
-    assert f"Use this file: {out}/updated_model.xml" in output.verdict
+    assert output.verdict[0] == f"Usable: {out}/updated_model.xml"
     model = mujoco.MjModel.from_xml_path(str(output.files[0]))
     assert model.body("l2").mass == pytest.approx(3.0, rel=1e-5) and model.nmesh == 0
     with pytest.raises(ValueError):

@@ -63,6 +63,10 @@ def require_done(walk, wanted):
     assert any(wanted in step.output for step in steps), steps[-1].output
 
 
+FILE = "/updated_model."
+"""What an output names that ends in a file to use."""
+
+
 def walk_from_log(path, arm, options=(), runs_remedies=True):
     """Look at a log of an arm and do what is printed, until there is no next step."""
     log = Path("first log.csv")
@@ -70,7 +74,7 @@ def walk_from_log(path, arm, options=(), runs_remedies=True):
     words = ["robot-sysid", "log", str(log), str(path), *options]
     walk = Walk(arm, runs_remedies)
     walk.follow(shlex.join(words))
-    require_done(walk, "Use this file: ")
+    require_done(walk, FILE)
     return walk.steps
 
 
@@ -87,7 +91,7 @@ def walk_from_recording(path, model, arm, record_again=None):
     """Look at a recording without any option and do what is printed next; return the walk."""
     walk = Walk(arm, False, record_again, has_tool=False)
     walk.follow(shlex.join(["robot-sysid", "log", str(path), str(model)]))
-    require_done(walk, "Use this file: ")
+    require_done(walk, FILE)
     return walk
 
 
@@ -110,7 +114,7 @@ def test_from_a_self_test_to_the_file_to_use():
     path, arm = small_arm()
     walk = Walk(arm)
     walk.follow(shlex.join(["robot-sysid", str(path)]))
-    require_done(walk, "Use this file: ")
+    require_done(walk, FILE)
     names = [step.line.split()[1] for step in walk.steps]
     assert names[1:] == ["plan", "identify", "payload"]
 
@@ -160,7 +164,7 @@ def test_a_base_without_mass_is_left_alone_from_a_plan_to_the_file_to_use():
     arm.tool_mass = 0.0
     walk = Walk(arm, has_tool=False)
     walk.follow(shlex.join(["robot-sysid", "plan", str(path)]))
-    require_done(walk, "Use this file: ")
+    require_done(walk, FILE)
     plan, identify, *_ = walk.steps
     assert "along, across, turn" in plan.output
     trajectory = next(Path().rglob("trajectory.csv")).read_text().partition("\n")[0]

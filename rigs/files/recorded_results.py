@@ -29,9 +29,9 @@ from robot_sysid.records.quantities import (
 )
 from robot_sysid.results.cards import number_groups
 from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import block_lines, more_lines, verdict_line
+from robot_sysid.results.lines import block_lines, more_lines, verdict_lines
 from robot_sysid.results.record import ModelFile, NextMotion
-from robot_sysid.results.table import beyond_line, cells, table_lines
+from robot_sysid.results.table import beyond_lines, cells, table_lines
 from robot_sysid.results.verdicts import Verdict
 
 FOLDER = ROOT / "tests" / "results" / "recorded"
@@ -146,7 +146,11 @@ def console(result):
     """Return the printed lines of a result; those of --verbose begin with "-v"."""
     # Whatever friction this MuJoCo knows.
     content = content_of(result, has_curved=False)
-    lines = [*block_lines(content, False), *more_lines(content), verdict_line(content)]
+    lines = [
+        *block_lines(content, False),
+        *more_lines(content),
+        *verdict_lines(content),
+    ]
     if "j5+j6" in {row.of for row in result.quantities}:
         lines = [*block_lines(content, True), "", *lines]
     return "\n".join(f"-v {x}" if isinstance(x, Detail) else x for x in lines)
@@ -155,7 +159,11 @@ def console(result):
 def consoles():
     """Return the printed lines of all cases."""
     texts = [f"== {name}\n{console(result)}\n" for name, result in RESULTS.items()]
-    lines = [beyond_line(content_of(bolted_on(*numbers))) for numbers in BOLTED_ON]
+    lines = [
+        line
+        for numbers in BOLTED_ON
+        for line in beyond_lines(content_of(bolted_on(*numbers)))
+    ]
     changes = [strict_json(Quantity("mass", "it", "kg", *row)) for row in CHANGES]
     rows = [cells(row, "it") for row in changes]
     lines += ["", "== changes", *table_lines(rows)]

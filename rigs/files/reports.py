@@ -16,7 +16,7 @@ from robot_sysid.report.page import REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import verdict_line
+from robot_sysid.results.lines import verdict_lines
 from robot_sysid.results.verdicts import Verdict
 
 ODD = "other <script>alert(1)</script> $x^{1}& 関節.csv"
@@ -89,7 +89,7 @@ def saved(folder, result):
         text = card_text(payload, card, result.robot)
         (folder / "payload_card.txt").write_text(text, encoding="utf-8")
     content = content_of(result, card)
-    text = json_text({**content, "verdict": [verdict_line(content)]})
+    text = json_text({**content, "verdict": [*verdict_lines(content)]})
     (folder / "params.json").write_text(text, encoding="utf-8")
     return folder
 

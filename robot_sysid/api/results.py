@@ -28,7 +28,7 @@ from robot_sysid.records.messages import Progress, torque_unit, with_error
 from robot_sysid.report.drawing import COLOURS
 from robot_sysid.report.figures import MEASURED_WIDTH
 from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import result_lines, verdict_line
+from robot_sysid.results.lines import result_lines, verdict_lines
 from robot_sysid.results.record import Identification
 from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
@@ -117,7 +117,7 @@ class Result(Identification):
         """Return the content of params.json (see docs/formats.md), without cards."""
         with in_python():
             content = content_of(self)
-            return {**content, "verdict": [verdict_line(content)]}
+            return {**content, "verdict": [*verdict_lines(content)]}
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write params.json, the data of a later report and, where trusted, the updated model.

@@ -46,9 +46,9 @@ _USES = {
 # terminal; the first beginning that fits counts.
 _COLOURS = {
     31: ("Not usable", "robot-sysid: error", "STOP"),
-    33: ("Usable, but", "Usable (", "Usable for", "note", "doubts", "Changed"),
+    33: ("Usable, but", "Usable (", "Usable for", "Watch", "note", "doubts", "Changed"),
     32: ("Usable", "Self-test passed", "Unchanged"),
-    1: ("Use this file", "Copy into", "Next"),
+    1: ("Copy into", "Next"),
 }
 COMMAND_STARTS = ("  robot-sysid ", "  pip install ", "  pip uninstall ")
 """Beginnings of lines that are a command and nothing else, which can be pasted into a shell."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from robot_sysid.commands.arguments import MODEL, Command, LogArgument
 from robot_sysid.config import CheckConfig
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import OF_LOG, ModelOptions
-from robot_sysid.records.messages import aligned_lines, number_text
+from robot_sysid.records.messages import Detail, aligned_lines, number_text
 from robot_sysid.records.option_fields import (
     FileArguments,
     keys_of,
@@ -50,28 +50,29 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     options = {key: value for key, value in values.items() if key not in own_keys}
     config = CheckConfig.of(measurements=log, **options)
     result = check_log(config, since, console, earlier.same_day)
-    rows = [
-        [
-            "change of" if since else "differs from the model",
-            "",
-            "value",
-            "±",
-            "usual",
-            "named from",
-            "",
-        ]
-    ]
-    for row in result.changes:
-        error = row.error or 0.0
-        numbers = (row.value, error, row.usual, row.least)
-        texts = [number_text(number, error) for number in numbers]
-        rows.append([row.of, row.name, *texts, f"{row.unit} {row.reason}".strip()])
-    if result.changes:
-        console.stage(*aligned_lines(rows, ("value", "±", "usual", "named from")))
+    console.stage(*_table(result.changes, bool(since)))
     console.note(*result.notes)
     console.stage(*result.verdict)
     console.result(vars(result))
     return int(result.has_changed)
+
+
+def _table(changes: Sequence[Any], since: bool) -> Iterator[str]:
+    """Yield a line for each number that was compared; a ``Detail`` where it does not differ."""
+    from robot_sysid.pipeline.changes import DIFFERS
+
+    headings = ("value", "±", "usual", "shows from")
+    rows = [["change of" if since else "differs from the model", "", *headings, ""]]
+    for row in changes:
+        error = row.error or 0.0
+        numbers = (row.value, error, row.usual, row.least)
+        texts = [number_text(number, error) for number in numbers]
+        rows.append([row.of, row.name, *texts, f"{row.unit} {row.reason}".strip()])
+    differs = [row.reason == DIFFERS for row in changes]
+    heading, *lines = aligned_lines(rows, headings)
+    yield heading if any(differs) else Detail(heading)
+    for is_said, line in zip(differs, lines):
+        yield line if is_said else Detail(line)
 
 
 COMMANDS = (

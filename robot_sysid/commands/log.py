@@ -41,10 +41,10 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     if others:
         listed = ", ".join(map(str, [log, *others]))
         raise InputError(f"{listed} are logs of their own: check them one by one")
-    console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     count = len(log)
     rate = (count - 1) / log.duration
-    console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
+    console.stage(f"{log.name}: {count} samples in {log.duration:.4g} s, {rate:.4g} Hz")
+    console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     options = with_scale_prior(EstimationOptions(), log_options, robot.joint_names)
     findings = judge(robot, [log], Question(options), console).findings
     console.stage(*(finding.line() for finding in findings))

@@ -31,9 +31,13 @@ SLOWEST = 0.2
 FASTER = 2.0
 """Times the log's speed of a joint from which its friction is taken to be unknown there."""
 GAIN = 0.8
-"""Share of the expected error that a further motion has to bring it to, to be proposed: four of
-five files of 24 second logs were 0.6 to 1.5 times as far off as was expected of them, so that less
-may be no gain."""
+"""Share of the expected error that a further motion has to bring it to, to be proposed: what is
+expected is not known better than that."""
+SMALL = 0.02
+"""Expected error up to which a further motion is proposed for a ``CLEAR_GAIN`` only: friction that
+changes with warmth makes as much."""
+CLEAR_GAIN = 1.0 / 1.5
+"""Share of a small expected error that a further motion has to bring it to, to be proposed."""
 AS_GOOD = 1.1
 """Times the least error after a further motion up to which one that costs less is as good."""
 
@@ -148,7 +152,7 @@ class OtherMotions:
         """
         errors = [self._error_after(file, motion.duration) for motion in motions]
         best = min(errors)
-        if best > GAIN * now:
+        if best > (GAIN if now > SMALL else CLEAR_GAIN) * now:
             return None, best
         pairs = zip(motions, errors)
         return next(pair for pair in pairs if pair[1] <= AS_GOOD * best)

@@ -72,7 +72,7 @@ def open_logs(
     opened: list[Any] = []
     for source in sources:
         if kind:
-            progress.stage(f"Reading {kind} {source}...")
+            progress.stage(Detail(f"Reading {kind} {source}..."))
         if not isinstance(source, (LogTable, Recording)):
             source = open_table(Path(source), robot.joint_names, options)
         opened.append(source)
@@ -106,9 +106,9 @@ def _read_table(
     torque = [replace(column, factor=k * column.factor) for column, k in factors]
     columns = replace(columns, torque=tuple(torque))
     recording = read_recording(table, columns, robot, progress)
-    details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
+    description = Detail(f"{table.layout}: {columns.describe()}")
     pieces = piece_notes(recording, split_at_gaps(recording))
-    notes = (*details, *table.notes, *columns.notes, *recording.notes, *pieces)
+    notes = (description, *table.notes, *columns.notes, *recording.notes, *pieces)
     return replace(recording, notes=notes, options=vars(options), setting=table.setting)
 
 

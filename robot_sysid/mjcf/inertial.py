@@ -83,8 +83,10 @@ def plan_write_back(
     if emptied:
         listed = "', '".join(body.name for body in emptied)
         notes.append(
-            f"body '{name}' now holds the inertia of all that is rigidly attached to it, and "
-            f"'{listed}' none in the written model"
+            Detail(
+                f"body '{name}' now holds the inertia of all that is rigidly attached to it, and "
+                f"'{listed}' none in the written model"
+            )
         )
     added = theta - remainder
     # Equally much is added to each moment of inertia; element 4 is Ixx.

@@ -82,7 +82,7 @@ def motion_lines(
         )
         yield f"Start: {pose}"
         yield f"  the straight way in joint space there from the model's pose at rest is {state}"
-    yield "The way there from where the arm stands now is no part of this motion, and not checked"
+    yield "The way from where the arm stands now to its start is not checked"
 
 
 def _units_of_uses(problem: ExcitationProblem) -> list[str]:

@@ -4,7 +4,7 @@ A load of the second side, and each drift of friction, a zero, a torque scale or
 from one side to the other, is fitted alone, beside what such drifts usually are from day to day.
 The likeliest of them stays if it is beyond its error, and the others are fitted again beside it.
 
-The ± of a number is that of its measurement. It is named from a multiple of this ± and of usual
+The ± of a number is that of its measurement. It is said from a multiple of this ± and of usual
 drifts together on: that which these alone reach in a share ``FALSE_ALARMS`` / k of all pairs of
 logs, of k numbers that are compared (Bonferroni).
 

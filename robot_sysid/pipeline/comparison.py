@@ -40,7 +40,7 @@ from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
 from robot_sysid.records.file_access import RUN_NAME, read_toml
-from robot_sysid.records.messages import Level, Progress, count_text, with_error
+from robot_sysid.records.messages import Detail, Level, Progress, count_text, with_error
 from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
@@ -194,7 +194,7 @@ def compare_with_model(
     Raises:
         InputError: the logs show too little, or are refused.
     """
-    progress.stage("Comparing with the model...")
+    progress.stage(Detail("Comparing with the model..."))
     estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
     estimation = replace(estimation, torques="chain", no_friction=False)
     judged = judge(robot, logs, model_question(estimation), progress)
@@ -433,8 +433,8 @@ def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
     for (words, unit), values in least.items():
         span = dict.fromkeys(f"{size:.2g}" for size in (min(values), max(values)))
         sizes.append(f"{' to '.join(span)} {unit} of {words}")
-    named = "named from these sizes on, which differ from joint to joint"
-    lines = [f"no difference beyond the errors; one is {named}: {', '.join(sizes)}"]
+    unseen = f"less than this would not show: {', '.join(sizes)}"
+    lines = [f"no difference beyond the errors; {unseen}"]
     if unknown:
         parts = [
             f"{words} of {', '.join(of)}" if any(of) else words

@@ -86,8 +86,8 @@ STEPS: Mapping[str, Step] = {
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
     "further motion": Step(
-        "If {now} on other motions is too much, plan another motion: with its log as well about "
-        "{expected} is expected there",
+        "Next, if {now} on other motions is too much, plan another motion: with its log about "
+        "{expected}",
         "plan {model} {options} --output-dir {folder}/planned",
         starts_motion=True,
     ),
@@ -96,9 +96,8 @@ STEPS: Mapping[str, Step] = {
         "identify {model} {log} {folder}/planned/log.csv {options} --output-dir {folder}/both",
     ),
     "part bolted on": Step(
-        "Next, if what is bolted on can be taken off, record {folder}/empty.csv without it and "
-        "weigh it by difference: one log shows its mass times its distance far better than its "
-        "mass",
+        "Next, if it can be taken off, record {folder}/empty.csv without it, and weigh it by "
+        "difference",
         "payload {model} --empty {folder}/empty.csv --loaded {log} {options} --output-dir "
         "{folder}/weighed",
     ),

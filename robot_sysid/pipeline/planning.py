@@ -129,7 +129,8 @@ def write_plan(
         "elsewhere": elsewhere_answer(prediction),
         "files": list(map(str, paths)),
     }
-    lines = [*lines, *map("Trajectory saved to {}".format, paths)]
+    if paths:
+        lines = [*lines, f"Trajectory saved to {', '.join(map(str, paths))}"]
     return Written(paths, lines, verdict, failure, answer)
 
 

@@ -69,7 +69,7 @@ def identify_logs(
     tests = open_logs(robot, options.validation_measurements, options, progress)
     refuse_repeated_logs([*logs, *tests])
     question = Question(config.estimation)
-    progress.stage("Solving for parameters...")
+    progress.stage(Detail("Solving for parameters..."))
     judged = judge(robot, logs, question, progress)
     fitted, notes = usable_fit(judged, options.accept, progress)
     progress.note(*notes)
@@ -123,7 +123,7 @@ def identify_plant(
     recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
     notes = (*plant.notes, *piece_notes(run, pieces), *filter_notes)
     progress.note(*notes)
-    progress.stage("Solving for parameters...")
+    progress.stage(Detail("Solving for parameters..."))
     fitted = answer_of(solve_question(robot, recordings, Question(options), progress))
     return _result(fitted, origin, notes, progress)
 

@@ -100,15 +100,18 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
         InputError: the model cannot be used.
     """
     model = config.model
-    progress.stage(f"Loading robot model from {model.path}...")
+    # Of a log, the answer names link and joint.
+    line = Detail if isinstance(config, LogConfig) else str
+    progress.stage(line(f"Loading robot model from {model.path}..."))
     options = given_values(model)
     if isinstance(config, MotionConfig):
         options["max_velocity"] = config.limits.max_velocity
     if isinstance(config, SelfTestConfig) and config.arm.plant_model is None:
         options["as_stated"] = True
     robot = load_robot_model(model.path, **options)
-    progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
-    progress.note(*robot.notes)
+    progress.stage(line(f"Identified terminal joint: {robot.terminal_joint}"))
+    notes = map(str, robot.notes) if isinstance(config, MotionConfig) else robot.notes
+    progress.note(*notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
     return robot
 

@@ -6,9 +6,10 @@ draws of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, groupby
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -81,8 +82,9 @@ class MotionPlan(Protocol):
         """Return the motion at times (N,) [s], with exact derivatives."""
 
 
-MOST_LISTED = 100
+MOST_LISTED = 8
 """Columns that are not used which a note lists."""
+_WHOLE_NUMBER = re.compile(r"\d+")
 
 
 @dataclass(frozen=True)
@@ -157,15 +159,15 @@ class ColumnMap:
         time = [self.time] if self.time else []
         return [*time, *chain(*self.groups())]
 
-    def describe(self) -> tuple[str, ...]:
-        """Return one sentence on the columns that are used, and one on the others."""
+    def describe(self) -> str:
+        """Return a sentence on the columns that are used, and on the others."""
         time = _quote([self.time]) if self.time else f"row number at {self.rate:g} Hz"
         velocity = "differentiated from position"
         if self.velocity:
             velocity = f"from {_quote(self.velocity)}"
         quantity = "command" if self.commanded else "torque"
         used = (
-            f"log columns: time from {time}; position from {_quote(self.position)}; "
+            f"time from {time}; position from {_quote(self.position)}; "
             f"velocity {velocity}; {quantity} from {_quote(self.torque)}"
         )
         if self.motor_torque:
@@ -173,14 +175,37 @@ class ColumnMap:
         if self.joint_time:
             used += f"; own time from {_quote(self.joint_time)}"
         indices = {column.index for column in self.columns()}
-        unused = [t for index, t in enumerate(self.titles) if index not in indices]
+        others = [t for index, t in enumerate(self.titles) if index not in indices]
+        unused = [*_ends_of_counted(others)]
         if len(unused) > MOST_LISTED:
             unused[MOST_LISTED:] = [f"{len(unused) - MOST_LISTED} more"]
-        return used, f"log columns not used: {', '.join(unused) or 'none'}"
+        return f"{used}; not used: {', '.join(unused)}" if unused else used
 
 
 def _quote(columns: Sequence[Column]) -> str:
-    """Return titles in quotes, with their factors."""
+    """Return titles in quotes, with their factors; of titles that are counted the ends."""
+    return ", ".join(_ends_of_counted(_quoted_titles(columns)))
+
+
+def _ends_of_counted(texts: Sequence[str]) -> Iterator[str]:
+    """Yield texts, of three or more in a row that are counted the first and the last."""
+    for _, group in groupby(texts, lambda text: _WHOLE_NUMBER.sub("", text)):
+        row = [*group]
+        if len(row) > 2 and _are_counted(row):
+            yield f"{row[0]} ... {row[-1]}"
+        else:
+            yield from row
+
+
+def _are_counted(texts: Sequence[str]) -> bool:
+    """Return whether one whole number in texts of one form goes up by one from each to the next."""
+    numbers = np.array([_WHOLE_NUMBER.findall(text) for text in texts], dtype=float)
+    steps = np.diff(numbers, axis=0)
+    return bool(np.all(steps == steps[0]) and [*steps[0][steps[0] != 0.0]] == [1.0])
+
+
+def _quoted_titles(columns: Sequence[Column]) -> list[str]:
+    """Return each title in quotes, with its factor."""
     texts = []
     for column in columns:
         if not column.factor:
@@ -191,7 +216,7 @@ def _quote(columns: Sequence[Column]) -> str:
             text = f"({text} - {column.zero:g})"
         scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
         texts.append(f"{text}{scale}")
-    return ", ".join(texts)
+    return texts
 
 
 @dataclass(frozen=True, eq=False, repr=False)

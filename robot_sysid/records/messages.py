@@ -162,8 +162,11 @@ class Detail(str):
     """
 
 
-class MeshesLeftOut(str):
-    """A note that collision meshes, which MuJoCo does not find or read, were left out."""
+class MeshesLeftOut(Detail):
+    """A note that collision meshes, which MuJoCo does not find or read, were left out.
+
+    It is a detail but for who plans a motion, which may touch what they would have shown.
+    """
 
 
 class LeastMassGiven(str):

@@ -22,7 +22,7 @@ from robot_sysid.results.record import Identification, ModelFile
 from robot_sysid.results.written_model import can_bend, versions
 from robot_sysid.spatial import PARAMETER_NAMES
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Version of the format of params.json; readers refuse other versions."""
 Content = Mapping[str, Any]
 """Key to value of params.json, or column to value of one of its rows."""
@@ -158,6 +158,7 @@ SOURCES: Mapping[str, Callable[[Params], Any]] = {
     "valid": lambda p: p.validity(),
     "verdict": lambda _: (),
     "next_step": lambda _: None,
+    "unshown_scales": lambda p: p.result.unshown_scales,
     "remarks": lambda p: [*p.result.remarks, *says(p.notes)],
     "quantities": lambda p: p.result.quantities,
     "friction_formulas": lambda _: {

@@ -48,6 +48,8 @@ from robot_sysid.results.notes import (
     other_motion_notes,
     part_names,
     result_notes,
+    scale_notes,
+    unshown_scales,
     wrong_links,
 )
 from robot_sysid.results.reasons import is_hardly_better
@@ -187,11 +189,14 @@ def result_of(
     file_rows: list[Quantity] = []
     sentences = [*robot.notes, *notes]
     curves: list[FrictionCurve] = []
+    scales: dict[str, float] = {}
     if file_fit is not None:
         straight = straight_of(file_fit)
         thetas = file_fit.thetas
         file_rows += file_quantities(fitted, straight, FILE)
         sentences += file_notes(fitted, straight, file_rows)
+        scales = unshown_scales(fitted, file_rows)
+        sentences += scale_notes(scales)
         if straight is not file_fit:
             file_rows += file_quantities(fitted, file_fit, CURVED)
             curves += friction_curves(fitted, file_fit)
@@ -216,6 +221,7 @@ def result_of(
         links={link.name: link for link in links},
         curves=tuple(curves),
         tops={owner: fitted.arm.top_of(owner) for owner in fitted.arm.owners},
+        unshown_scales=scales,
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=min(recording.cutoff for recording in fitted.recordings),
         link_scales=asdict(fitted.question.link_scales),

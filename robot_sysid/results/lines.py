@@ -1,7 +1,7 @@
 """What the console prints of a result, a view of the content of params.json, and of a plan.
 
-The verdict says in one line whether to use the result, how much better it is than the model before,
-and what limits it. It is printed last, with the files to use and the next step.
+The verdict says in three lines which file to use and how far off it is, what the arm weighs, and
+what to watch. It is printed last, with the next step.
 """
 
 from __future__ import annotations
@@ -35,15 +35,17 @@ from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD
 from robot_sysid.results.table import (
     KNOWN,
-    all_cells,
-    beyond_line,
+    all_rows,
+    beyond_lines,
     body_rows,
     cells,
     centre_text,
     friction_rows,
     label,
     largest_changes,
+    legend_lines,
     number_with_error,
+    quantity_lines,
     rows_of,
     table_lines,
 )
@@ -66,7 +68,11 @@ RECORDED_FOR_PAYLOAD = "Recorded empty, loaded, loaded, empty"
 
 def result_lines(content: Content, links: bool) -> list[str]:
     """Return the lines of a result without those of files and without --verbose."""
-    lines = (*block_lines(content, links), *more_lines(content), verdict_line(content))
+    lines = (
+        *block_lines(content, links),
+        *more_lines(content),
+        *verdict_lines(content),
+    )
     return [line for line in lines if not isinstance(line, Detail)]
 
 
@@ -77,26 +83,22 @@ def block_lines(content: Content, links: bool) -> list[str]:
         content: of params.json.
         links: whether the table shows every link and every joint in place of the last ones.
     """
+    if content["source"] == ITSELF:
+        return _self_test_lines(content)
+    if links:
+        named = [cells(row, title) for title, row in all_rows(content)]
+        lines = table_lines(named, "Before -> after")
+        return [*beyond_lines(content), *lines, *legend_lines(lines)]
     if content["question"] == PAYLOAD:
         rows = body_rows(content, PAYLOAD)
-        flange = content["payload"]["flange"]["name"]
-        lines = [f"Identified payload, in the frame of {flange}:"]
-        lines += table_lines(map(cells, rows))
+        title = f"payload, in the frame of {content['payload']['flange']['name']}"
+        lines = [*quantity_lines(rows, title)]
         if 1 < len(rows) < 10:
             lines.append(f"  {NOT_KNOWN}")
         return lines
-    if content["source"] == ITSELF:
-        return _self_test_lines(content)
-    beyond = beyond_line(content)
-    lines = [beyond] if beyond else []
-    link = content["body_name"]
-    rows = body_rows(content, link) + friction_rows(content, content["joint_name"])
-    table = [*map(cells, rows)]
-    title = f"{link} with all on it"
-    if links:
-        table = [*all_cells(content)]
-        title = "Before -> after"
-    return [*lines, *table_lines(table, title)]
+    link, joint = content["body_name"], content["joint_name"]
+    rows = body_rows(content, link) + friction_rows(content, joint)
+    return [*beyond_lines(content), *quantity_lines(rows, f"{link} and {joint}")]
 
 
 def _self_test_lines(content: Content) -> list[str]:
@@ -204,24 +206,53 @@ def folder_text(folder: Path) -> str:
     return f"{prefix}{text}/" if text != "." else "./"
 
 
-def verdict_line(content: Content) -> str:
-    """Return one line: whether to use a result, how good it is, and what limits it."""
+def folder_line(folder: Path, is_detail: bool) -> str:
+    """Return where the results are, a detail where a file of them is named anyway."""
+    line = f"Results saved to {folder_text(folder)}"
+    return Detail(line) if is_detail else line
+
+
+def verdict_lines(content: Content, files: Sequence[Path] = ()) -> Iterator[str]:
+    """Yield whether to use a result: the file and its errors, the number, and what to watch.
+
+    Args:
+        content: of params.json.
+        files: the written files; without them no file is named.
+    """
     if content["failure"] is not None:
-        return f"Not usable: {content['failure']}"
+        yield f"Not usable: {content['failure']}"
+        return
     unseen = ", ".join(content["unidentifiable"])
     if content["source"] == ITSELF:
         use = (
             "Self-test passed: the model's own numbers came back from its own simulation, which "
             "says nothing of the real arm"
         )
-        return use + (f" (not identifiable: {unseen})" if unseen else "")
+        yield use + (f" (not identifiable: {unseen})" if unseen else "")
+        return
     file = content["file"]
     elsewhere = file and file_to_use(file)["elsewhere"]
     usable = "Usable"
     if elsewhere and elsewhere["for_like_motions"]:
         usable = "Usable for motions like this log"
     use = Verdict[content["status"]].use.format(usable=usable, unseen=unseen)
-    return f"{use}: {'; '.join(_improvements(content))}"
+    payload = content["payload"]
+    path = _first_file(files)
+    parts = [f"{path}, the arm with its payload" if path and payload else path]
+    parts.append(_errors_text(content) if file else "")
+    if payload and payload["known_mass"]:
+        parts.append("torque scales follow from the known mass")
+    yield f"{use}: {'; '.join(filter(None, parts))}"
+    if not payload or not payload["known_mass"]:
+        yield _mass_text_of(content)
+    if lacking := [*_what_to_watch(content, elsewhere)]:
+        yield f"Watch: {'; '.join(lacking)}"
+
+
+def _first_file(files: Sequence[Path]) -> str:
+    """Return the written model file to use first; "" where there is none."""
+    first = curved_file_in(files) or next(iter(models_in(files)), None)
+    return str(first or "")
 
 
 def file_to_use(file: Content) -> Content:
@@ -230,25 +261,21 @@ def file_to_use(file: Content) -> Content:
     return curved if curved and curved["name"] else file
 
 
-def elsewhere_text(elsewhere: Content) -> str:
-    """Return a phrase on the torque errors to expect of a written model on other motions.
-
-    Where faster motions than the log's make most of the error, it says so, and what to record.
-    """
-    shares = [
-        percent(elsewhere[model]["relative_error"]) for model in ("before", "after")
-    ]
-    speed = f"{elsewhere['speed']:.2g} {elsewhere['speed_unit']}"
-    text = f"on other motions up to {speed} about {' -> '.join(shares)}"
-    lacking = []
-    if elsewhere["faster"]:
-        of_log = percent(elsewhere["at_log_speeds"]["relative_error"])
+def _what_to_watch(content: Content, elsewhere: Content | None) -> Iterator[str]:
+    """Yield phrases on what the errors of a result do not cover, or come from."""
+    if elsewhere and elsewhere["faster"]:
         slow = f"{elsewhere['log_speed']:.2g} {elsewhere['speed_unit']}"
-        text += f", as slow as the log ({slow}) {of_log}"
-        lacking.append(f"record faster, mostly {elsewhere['faster']}")
-    if elsewhere["still"]:
-        lacking.append(f"{', '.join(elsewhere['still'])} stood still")
-    return f"{text} ({'; '.join(lacking)})" if lacking else text
+        of_log = percent(elsewhere["at_log_speeds"]["relative_error"])
+        yield (
+            f"motions faster than the log's ({slow}; up to there {of_log}): record faster, mostly "
+            f"{elsewhere['faster']}"
+        )
+    if elsewhere and elsewhere["still"]:
+        yield f"{', '.join(elsewhere['still'])} stood still"
+    scales = content["unshown_scales"]
+    if scales:
+        owner, largest = max(scales.items(), key=lambda item: item[1])
+        yield f"a torque that reads {largest:.2f} times too much ({owner}) would not show"
 
 
 def before_after_text(tests: Content, kind: str = "") -> str:
@@ -264,86 +291,66 @@ def before_after_text(tests: Content, kind: str = "") -> str:
     return " -> ".join(texts) or "not known"
 
 
-def _improvements(content: Content) -> Iterator[str]:
-    """Yield phrases on the torque error before and after, and on the error of the mass."""
-    file = content["file"]
-    payload = content["payload"]
-    if file:
-        # A payload is part of both models: the change is that of links and friction.
-        load = " with the payload" if payload else ""
-        first = file_to_use(file)
-        text = f"torque error{load} {before_after_text(first, '_as_used')} here"
-        used, aside = (
-            percent(first[after]["relative_error"] or 0.0)
-            for after in ("after_as_used", "after")
-        )
-        if aside != used:
-            text += f" ({before_after_text(first)} torque offsets aside)"
-        yield text
-        if first["elsewhere"]:
-            yield elsewhere_text(first["elsewhere"])
-    if payload and payload["known_mass"]:
-        yield "torque scales follow from the known mass"
-        return
-    of = PAYLOAD if payload else content["body_name"]
+def _errors_text(content: Content) -> str:
+    """Return a phrase on the torque errors of the file to use, here and on other motions."""
+    # A payload is part of both models: the change is that of links and friction.
+    load = " with the payload" if content["payload"] else ""
+    first = file_to_use(content["file"])
+    text = f"torque error{load} {before_after_text(first, '_as_used')} here"
+    used, aside = (
+        percent(first[after]["relative_error"] or 0.0)
+        for after in ("after_as_used", "after")
+    )
+    if aside != used:
+        text += f" ({before_after_text(first)} torque offsets aside)"
+    elsewhere = first["elsewhere"]
+    if elsewhere:
+        shares = [
+            percent(elsewhere[model]["relative_error"]) for model in ("before", "after")
+        ]
+        speed = f"{elsewhere['speed']:.2g} {elsewhere['speed_unit']}"
+        text += f", about {' -> '.join(shares)} on other motions up to {speed}"
+    return text
+
+
+def _mass_text_of(content: Content) -> str:
+    """Return a sentence on the mass that was asked for, with what makes most of its error."""
+    of = PAYLOAD if content["payload"] else content["body_name"]
     row = next((row for row in rows_of(content, of) if row["name"] == "mass"), None)
     if row is None or row["error"] is None or row["value"] <= 0.0:
-        yield f"the mass of {of} alone is not identifiable"
-        return
+        return f"The mass of {of} alone is not identifiable"
     mass = number_with_error(row)
     text = f"{of} weighs {mass}"
     if row["error"] >= KNOWN * row["value"]:
-        text = f"the mass of {of} alone is not known: {mass}"
-    yield f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
+        text = f"The mass of {of} alone is not known: {mass}"
+    return f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
 
 
-def use_lines(
-    path: Path, start: str = "Use this file", reason: str = ""
-) -> tuple[str, str, str]:
-    """Return which model file to use, which MuJoCo loads it, and a line of Python that does.
-
-    Args:
-        path: of the written file, which has been compiled by the installed MuJoCo.
-        start: beginning of the first line, such as "Use this file".
-        reason: what speaks for it, behind the path; "" for nothing.
-    """
-    text = quoted_text(str(path))
-    return (
-        f"{start}: {path}{reason}",
-        f"  mujoco.MjModel.from_xml_path({text})",
+def load_lines(path: Path) -> Iterator[str]:
+    """Yield how Python loads a written model, and which MuJoCo does."""
+    yield Detail(f"  mujoco.MjModel.from_xml_path({quoted_text(str(path))})")
+    yield Detail(
         f"It loads in MuJoCo {mujoco.__version__} (tested); others from 3.0 on load it if they "
-        "load your model",
+        "load your model"
     )
 
 
 def file_lines(content: Content, files: Sequence[Path]) -> Iterator[str]:
-    """Yield lines on the written model files, that whose friction bends with speed first.
+    """Yield lines on the written model files beside the first: where friction bends, the straight.
 
     Args:
         content: of params.json.
         files: the written files.
     """
-    contents = ", the arm with its payload" if content["payload"] else ""
-    start = f"Use this file{contents}"
     curved = curved_file_in(files)
     for path in models_in(files)[:1]:
-        reason = ""
         if curved:
-            file = content["file"]
-            shares = [
-                percent(each["after"]["relative_error"] or 0.0)
-                for each in (file["curved"], file)
-            ]
-            first, call, _ = use_lines(
-                curved,
-                start,
-                f" (torque error {shares[0]}; its friction bends with speed, which MuJoCo from "
-                "3.7 on, MuJoCo Warp and mjlab read)",
+            error = percent(content["file"]["after"]["relative_error"] or 0.0)
+            yield (
+                f"With MuJoCo before 3.7, or another simulator: {path} (its friction is straight; "
+                f"torque error {error})"
             )
-            yield from (first, call)
-            start = f"With anything else, use this file{contents}"
-            reason = f" ({shares[1]}; the straight line nearest to that friction)"
-        yield from use_lines(path, start, reason)
+        yield from load_lines(curved or path)
 
 
 def card_lines(files: Iterable[Path]) -> list[str]:
@@ -362,7 +369,7 @@ def last_lines(
         files: the written files, among them the model and a payload's card.
         step: the next step, or None.
     """
-    lines = [verdict_line(content)]
+    lines = [*verdict_lines(content, files)]
     if content["failure"] is not None:
         return lines
     # A self-test writes back what its model says already.
@@ -391,9 +398,8 @@ def file_line(file: ExpectedFile, mass_error: float) -> str:
     if np.isfinite(mass_error):
         details.append(f"a load to ± {_mass_text(mass_error)}")
     sentence = (
-        f"After this motion the written file is expected to be {percent(file.least)} (an arm with "
-        f"little friction) to {percent(file.after)} (with much) off on any motion up to "
-        f"{file.speed:.2g} {file.speed_unit}"
+        f"Expected of its log: a file {percent(file.least)} (little friction) to "
+        f"{percent(file.after)} (much) off on any motion up to {file.speed:.2g} {file.speed_unit}"
     )
     return "; ".join([sentence, ", ".join(details)]) if details else sentence
 
@@ -410,23 +416,25 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
         recorded = RECORDED_FOR_PAYLOAD
         note = ""
     subject = subject_text(prediction)
-    yield f"{recorded}, it determines {subject} with these errors{note}:"
+    # What a file is expected to be says more than the numbers in it.
+    line = str if prediction.file is None else Detail
+    yield line(f"{recorded}, it determines {subject} with these errors{note}:")
     mass = prediction.errors[0]
     centre = prediction.centre_error
     # The causes, the one with the largest error of the mass first.
     causes = sorted(prediction.by_cause.items(), key=lambda cause: -cause[1][0])
     if np.isfinite(mass):
         share = percent(prediction.relative_mass_error)
-        yield f"  mass ± {_mass_text(mass)} ({share}), limited by {causes[0][0]}"
+        yield line(f"  mass ± {_mass_text(mass)} ({share}), limited by {causes[0][0]}")
     if np.isfinite(centre):
         cause = max(causes, key=lambda cause: cause[1][1])[0]
-        yield f"  centre of mass ± {_length_text(centre)}, limited by {cause}"
+        yield line(f"  centre of mass ± {_length_text(centre)}, limited by {cause}")
     if prediction.link_mass_errors:
         listed = ", ".join(
             f"{name} {percent(error)}"
             for name, error in prediction.link_mass_errors.items()
         )
-        yield f"  mass of the other links: {listed}"
+        yield Detail(f"  mass of the other links: {listed}")
     uncertain = []
     relative_errors = prediction.errors / prediction.size
     for name, error in zip(PARAMETER_NAMES, relative_errors):
@@ -434,7 +442,9 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
             known = percent(error) if np.isfinite(error) else "not identified"
             uncertain.append(f"{name} {known}")
     if uncertain:
-        yield f"  above {percent(LARGE_SHARE)} of their size: {', '.join(uncertain)}"
+        yield Detail(
+            f"  above {percent(LARGE_SHARE)} of their size: {', '.join(uncertain)}"
+        )
     for combination in prediction.invisible:
         yield (
             f"No motion of these joints identifies {combination}: use "

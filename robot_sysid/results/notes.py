@@ -69,7 +69,9 @@ def link_notes(fitted: Fit) -> Iterator[str]:
     robot = fitted.arm.robot
     bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
     if len(bodies) > 1:
-        yield f"the numbers of {robot.body_name} are those of {' + '.join(bodies)} together"
+        yield Detail(
+            f"the numbers of {robot.body_name} are those of {' + '.join(bodies)} together"
+        )
     if WELL_EXPLAINED < fitted.unexplained_share <= UNEXPLAINED:
         yield unexplained_torque(fitted)
 
@@ -112,16 +114,28 @@ def file_notes(fitted: Fit, file: Fit, rows: Sequence[Quantity]) -> Iterator[str
             f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
             "identifiable there, the model's values are kept"
         )
-    yield from _scale_notes(fitted, rows)
     yield from _offset_notes(file)
     if robot.kind == "urdf" and needs_mjcf(rows, fitted.arm.motors):
         tests = validation(file), error_without_rotors(file)
         shares = [percent(test.relative_error or 0.0) for test in tests]
+        lacking = "no rotor inertia"
+        if fitted.arm.motors:
+            lacking += " and no motors that turn several joints"
         yield (
-            f"{MODEL_NAMES['urdf']} has the links and the friction of {MODEL_NAMES['mjcf']}, so "
-            f"that it holds the arm up as well; in motion its torque error is {shares[1]}, that of "
-            f"{MODEL_NAMES['mjcf']} {shares[0]}: most readers of URDF know neither rotor inertia, "
-            "which stands in its transmissions, nor motors that turn several joints"
+            f"{MODEL_NAMES['urdf']} holds {lacking}: its torque error in motion is {shares[1]}, "
+            f"that of {MODEL_NAMES['mjcf']} {shares[0]}"
+        )
+
+
+def scale_notes(scales: Mapping[str, float]) -> Iterator[str]:
+    """Yield a sentence on torques that may be off by factors that no log shows."""
+    if scales:
+        usual = percent(PER_CENT * usual_errors.SCALE)
+        listed = ", ".join(f"{scales[owner]:.2f} ({owner})" for owner in scales)
+        yield Detail(
+            "these logs do not show a torque that reads too much or too little by a factor of up "
+            f"to {listed}: masses, friction and rotor inertia are as right as the torques, which "
+            f"their ± take to be right to {usual} each"
         )
 
 
@@ -130,12 +144,12 @@ def curve_notes(file: ModelFile, curves: Sequence[FrictionCurve]) -> Iterator[st
     speeds = ", ".join(f"{c.of} {c.known_to:.2g} {c.speed_unit}" for c in curves)
     assert file.curved is not None
     shares = [percent(f.after.relative_error or 0.0) for f in (file, file.curved)]
-    yield (
+    yield Detail(
         f"friction of {', '.join(c.of for c in curves)} bends with speed: {MODEL_NAMES['mjcf']} "
         f"has the straight line nearest to it ({shares[0]} torque error on held-out data, torque "
         f"offsets aside), the curve itself makes {shares[1]}"
     )
-    yield f"friction is known up to the highest speeds of the logs: {speeds}"
+    yield Detail(f"friction is known up to the highest speeds of the logs: {speeds}")
 
 
 def _offset_notes(file: Fit) -> Iterator[str]:
@@ -151,18 +165,22 @@ def _offset_notes(file: Fit) -> Iterator[str]:
     squared = squares / np.sum(file.sums.squared_torque)
     share = validation(file).relative_error or 0.0
     if squared > max(LITTLE, share) ** 2:
-        yield (
+        yield Detail(
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
             "that is larger in one direction: counted as errors, they make the torque error of the "
             f"written file on held-out data {percent(np.sqrt(squared + share**2))}"
         )
 
 
-def _scale_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
-    """Yield a sentence on torques that may be off by a factor that no log shows.
+def unshown_scales(fitted: Fit, rows: Sequence[Quantity]) -> dict[str, float]:
+    """Return what has a torque to the factor by which that may be off without the logs showing it.
 
     Friction and rotor inertia are nearly all of the torque of some joints, and take a factor on it
     up. One on all torques is one on all masses.
+
+    Args:
+        fitted: the fit of all terms.
+        rows: numbers of the written model, whose joints are asked for.
     """
     question = fitted.question
     written = {row.of for row in rows}
@@ -172,25 +190,19 @@ def _scale_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
     is_stated = question.options.priors.scale is not None
     # The errors of a payload have those of the torques in them.
     if question.loaded or is_stated or not is_asked:
-        return
+        return {}
     groups = {"all joints together": scales.names}
     for parameter in scales.parameters:
         if parameter.of in written:
             groups[parameter.of] = (parameter.key,)
     offers = Offers(fitted)
-    phrases = []
+    factors = {}
     for owner, names in groups.items():
         offer = offers.offer(Effect(names, np.full((len(names), 1), wrong)))
         error = float(offer.errors[0])
         if error > UNSHOWN:
-            phrases.append(f"{1.0 + INTERVAL * error:.2f} ({owner})")
-    usual = PER_CENT * usual_errors.SCALE
-    if phrases:
-        yield (
-            "these logs do not show a torque that reads too much or too little by a factor of up "
-            f"to {', '.join(phrases)}: masses, friction and rotor inertia are as right as the "
-            f"torques, which their ± take to be right to {percent(usual)} each, by the prior scale"
-        )
+            factors[owner] = 1.0 + INTERVAL * error
+    return factors
 
 
 def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
@@ -200,7 +212,9 @@ def result_notes(fitted: Fit, file: Fit | None) -> Iterator[str]:
         yield f"not estimated, as the friction model is given without: {', '.join(left_out)}"
     for motor in fitted.arm.motors:
         if motor.tendon is None:
-            yield f"a motor turns with {motor.name}: the torques give clear evidence of it"
+            yield Detail(
+                f"a motor turns with {motor.name}: the torques give clear evidence of it"
+            )
     for parameter in fitted.arm.terms[ZEROS].parameters:
         if parameter.key not in fitted.names:
             continue
@@ -312,7 +326,7 @@ def other_motion_notes(motions: OtherMotions) -> Iterator[str]:
     """Yield sentences on where the error to expect on other motions does not hold."""
     fitted = motions.fitted
     if motions.still:
-        yield (
+        yield Detail(
             f"{', '.join(motions.still)} stood still: the error on other motions takes friction "
             "and rotors there to be like those of the other joints, for what a joint carries and "
             "is built for"
@@ -322,7 +336,7 @@ def other_motion_notes(motions: OtherMotions) -> Iterator[str]:
     joints = [*itertools.compress(names, motions.faster & is_moved)]
     if joints:
         listed = "all joints" if len(joints) == len(names) else ", ".join(joints)
-        yield (
+        yield Detail(
             f"the logs are slow for {listed}: friction at twice their speed and more is not "
             "measured, so that the error to expect on other motions is less certain than that of "
             "faster logs"

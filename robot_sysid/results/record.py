@@ -218,6 +218,8 @@ class Identification:
         payload: None of an arm.
         validation: errors of the fit in predicting torques: of held-out stretches of its logs
             first, then of other logs.
+        unshown_scales: what has a torque ("all joints together", or a joint) to the factor by which
+            that may read too much or too little without the logs showing it.
         friction_model: name of the friction model, or "per joint".
         cutoff: lowest cut-off of the logs' low-passes [Hz]; None of a simulation.
         link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
@@ -242,6 +244,7 @@ class Identification:
     tops: Mapping[str, float] = field(default_factory=dict)
     payload: Payload | None = None
     validation: tuple[Validation, ...] = ()
+    unshown_scales: Mapping[str, float] = field(default_factory=dict)
     friction_model: str | None = None
     cutoff: float | None = None
     link_scales: Mapping[str, float] = field(default_factory=dict)

@@ -5,12 +5,19 @@ A row is an entry of ``quantities``. Numbers have as many digits as make two of 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.records.levels import INTERVAL
-from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
+from robot_sysid.records.messages import (
+    Detail,
+    aligned_lines,
+    number_text,
+    percent,
+    with_error,
+)
 from robot_sysid.records.parameters import DELAY, SCALE, TILTS, ZERO
 from robot_sysid.records.quantities import (
     BEYOND,
@@ -38,14 +45,15 @@ HEADINGS = ("", "model", "identified", "±", "unit", "change")
 """Headings of a table, in the order of ``cells``."""
 # Cell of a change that is smaller than the standard error.
 _WITHIN = "within ±"
+_ASSUMED = "assumed"
 # Words in a table to what they mean.
 _LEGEND = {
-    "±": "standard error of all causes, the true value is within two of them in 95 of 100 cases",
-    _WITHIN: "changed by less, the model's number may be right",
-    "prior": "the model says more of this number than the recordings do",
-    "at its bound": "the torques ask for a value that cannot be, such as friction below zero, and "
-    "the nearest one that can is taken",
+    "±": "standard error; the true value is within two of them in 95 of 100 cases",
+    _ASSUMED: "the model says more of it than the log",
+    "at its bound": "the torques ask for less than can be",
 }
+# The axis, or two, of a component.
+_AXES = re.compile(r"\b[xyz]{1,2}\b")
 CURVE_PARTS = ("coulomb", "viscous", "bend")
 """Numbers that together make the friction of a joint that bends with speed."""
 MOST_PERCENT = 10.0
@@ -135,7 +143,7 @@ class Difference(NamedTuple):
 
 
 def change(row: Content) -> Difference:
-    """Return how a value has changed, with "prior" where most of it comes from the model."""
+    """Return how a value has changed, with "assumed" where most of it comes from the model."""
     if not is_shown(row):
         return Difference("not identifiable", False)
     if row["source"] == BOUND:
@@ -143,7 +151,7 @@ def change(row: Content) -> Difference:
     difference = _difference(row)
     if row["source"] != MODEL:
         return difference
-    text = f"{difference.text}, prior" if difference.is_clear else "prior"
+    text = f"{difference.text}, {_ASSUMED}" if difference.is_clear else _ASSUMED
     return difference._replace(text=text)
 
 
@@ -192,55 +200,97 @@ def shown_columns(rows: Iterable[Sequence[str]], title: str) -> list[tuple[str, 
 
 
 def table_lines(rows: Iterable[Sequence[str]], title: str = "") -> list[str]:
-    """Return rows of cells as aligned lines under their headings, and what their words mean.
-
-    See ``shown_columns``.
-    """
+    """Return rows of cells as aligned lines under their headings, see ``shown_columns``."""
     lines = aligned_lines(shown_columns(rows, title), HEADINGS[1:4])
+    return [f"  {line}" for line in lines]
+
+
+def legend_lines(lines: Iterable[str]) -> Iterator[str]:
+    """Yield one line on what the words in a table's lines mean."""
     text = "\n".join(lines)
     meanings = [f"{word}: {_LEGEND[word]}" for word in _LEGEND if word in text]
-    return list(map("  {}".format, filter(None, (*lines, "; ".join(meanings)))))
+    if meanings:
+        yield f"  {'; '.join(meanings)}"
 
 
-def all_cells(content: Content) -> Iterator[tuple[str, ...]]:
-    """Yield every row of links, joints and motors."""
+def quantity_lines(rows: Sequence[Content], title: str = "") -> Iterator[str]:
+    """Yield the table of rows, in which one line names those that say nothing.
+
+    Their own lines are ``Detail``.
+    """
+    if not rows:
+        return
+    heading, *lines = table_lines(map(cells, rows), title)
+    shown = [line for row, line in zip(rows, lines) if not says_nothing(row)]
+    yield heading
+    for row, line in zip(rows, lines):
+        yield Detail(line) if says_nothing(row) else line
+    small = [row for row in rows if says_nothing(row) and row["error"]]
+    labels = _labels_text(map(label, small))
+    if labels:
+        yield f"  smaller than their ±: {labels}"
+    yield from legend_lines((heading, *shown))
+
+
+def says_nothing(row: Content) -> bool:
+    """Return whether a number and its change are smaller than its standard error, or it is bound to
+    what the model says.
+
+    The mass is asked for, so that it says how little is known; so are all numbers of a payload,
+    which no model has.
+    """
+    name, before, error = row["name"], row["model"], row["error"]
+    if row["source"] == BOUND:
+        return bool(row["value"] == before)
+    is_asked = name == BODY[0].name or (before is None and name not in TERMS)
+    if is_asked or not error:
+        return False
+    return max(abs(row["value"]), abs(row["value"] - (before or 0.0))) <= error
+
+
+def _labels_text(labels: Iterable[str]) -> str:
+    """Return labels in a row; those that differ in their axes only are named once."""
+    axes: dict[str, list[str]] = {}
+    for each in labels:
+        axis = _AXES.search(each)
+        form = _AXES.sub("{}", each) if axis else each
+        axes.setdefault(form, []).append(axis[0] if axis else "")
+    return "; ".join(form.format(", ".join(found)) for form, found in axes.items())
+
+
+def all_rows(content: Content) -> Iterator[tuple[str, Content]]:
+    """Yield every row of links, joints and motors, with its label in a table of them all."""
     for owner in dict.fromkeys(row["of"] for row in content["quantities"]):
         rows = [] if owner == BEYOND else body_rows(content, owner)
         for row in (*rows, *friction_rows(content, owner)):
-            yield cells(row, f"{owner} {label(row)}")
+            yield f"{owner} {label(row)}", row
 
 
-def beyond_line(content: Content) -> str:
-    """Return what is bolted to the terminal link beyond the model; "" where that is not asked.
+def beyond_lines(content: Content) -> Iterator[str]:
+    """Yield what is on the flange and not in the model; nothing where that is not asked.
 
-    Mass times distance comes first, which one log shows; the mass alone is stated where it is known
-    to ``KNOWN``.
+    The mass comes with mass times distance, which one log shows far better.
     """
     rows = rows_of(content, BEYOND)
     if not rows:
-        return ""
+        return
     moment, mass, *com = rows
     link = content["body_name"]
+    start = "On the flange, not in the model"
     if not is_shown(mass) or moment["error"] is None:
-        return f"These torques do not show whether anything is bolted to {link} beyond the model"
-    weight = number_with_error(mass)
+        yield f"{start}: not shown by these torques"
+        return
     is_seen = [abs(r["value"]) >= INTERVAL * r["error"] for r in (moment, mass)]
-    unseen = number_text(INTERVAL * mass["error"], mass["error"])
-    text = f"mass times distance {number_with_error(moment)}"
     if not any(is_seen):
-        text = (
-            f"nothing seen ({text}, mass {weight}; less than {unseen} kg would not be)"
-        )
+        unseen = number_text(INTERVAL * mass["error"], mass["error"])
+        yield f"{start}: nothing seen; less than {unseen} kg would not be"
     elif mass["value"] < 0.0 and is_seen[1]:
-        weight = with_error(-mass["value"], mass["error"], "kg")
-        text = f"nothing; {link} weighs {weight} less than in the model"
-    elif mass["error"] >= KNOWN * abs(mass["value"]):
-        text += (
-            f" from the frame of {link}; its mass is not known from one log ({weight})"
-        )
+        lighter = with_error(-mass["value"], mass["error"], "kg")
+        yield f"{start}: nothing; {link} weighs {lighter} less than in the model"
     else:
-        text += f", mass {weight}, {centre_text(com)} in the frame of {link}"
-    return f"Bolted on beyond the model: {text}"
+        product = f"mass x distance {number_with_error(moment)}"
+        yield f"{start}: {number_with_error(mass)} ({product})"
+        yield Detail(f"  {centre_text(com)} in the frame of {link}")
 
 
 def largest_changes(content: Content) -> Iterator[str]:
@@ -262,4 +312,4 @@ def largest_changes(content: Content) -> Iterator[str]:
                 changes.append((size, f"{text}{unit}"))
     largest = [text for _, text in sorted(changes, reverse=True)[:MOST_CHANGES]]
     if largest:
-        yield f"Changed most, compared with the errors: {', '.join(largest)}"
+        yield Detail(f"Changed most, compared with the errors: {', '.join(largest)}")

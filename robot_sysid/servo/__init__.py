@@ -33,7 +33,7 @@ from robot_sysid.logs.reader import (
 from robot_sysid.records import Array, Motion, Recording, RobotModel, file_access
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.messages import NextStep, Progress
-from robot_sysid.results.lines import card_lines, folder_text, use_lines
+from robot_sysid.results.lines import card_lines, folder_line, load_lines
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.written_model import write_joints
 from robot_sysid.servo.command_check import check_commands
@@ -109,8 +109,9 @@ def write_servos(
     folder = config.output.output_dir
     old = rms(result.before)
     new = rms(result.after)
+    model = folder / file_access.MODEL_NAMES["mjcf"]
     verdict = (
-        "Usable: position errors of the model, played on what was not fitted, are "
+        f"Usable: {model}; its position errors, simulated on what was not fitted, are "
         f"{new / old:.2g} times those before"
     )
     failure = None
@@ -130,10 +131,9 @@ def write_servos(
         try:
             if failure is None:
                 # A URDF holds neither the rotor inertia nor the gains that were judged.
-                path = folder / file_access.MODEL_NAMES["mjcf"]
-                target = ModelTarget(files, path, poses, config.model.mesh_dir)
+                target = ModelTarget(files, model, poses, config.model.mesh_dir)
                 write_joints(robot, tuple(result.changes()), target)
-                written.append(path)
+                written.append(model)
                 written += write_simulator_cards(config, robot, files, written, result)
         except ExportError as error:
             failure = (
@@ -144,8 +144,8 @@ def write_servos(
         written.append(folder / file_access.SERVO_NAME)
         files.write(written[-1], file_access.json_text(result.json_content()))
         removed = remove_earlier(files, config, robot, written)
-    lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
-    last_lines = [verdict, *use_lines(written[0]), *card_lines(written)]
+    lines = (*servo_lines(result), folder_line(folder, is_detail=failure is None))
+    last_lines = [verdict, *load_lines(model), *card_lines(written)]
     if failure is not None:
         last_lines = [f"Not usable: {failure}"]
     elif step := step_after(result):

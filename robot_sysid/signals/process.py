@@ -381,7 +381,7 @@ def _notes(
             speed = f"{filtered.deadband[joint]:.2g} {unit}/s"
             slow.setdefault((percent(shares[joint]), speed), []).append(name)
     for (share, speed), names in slow.items():
-        yield (
+        yield Detail(
             f"only {share} of the rows of {count_text(len(names), 'joint')} are used "
             f"({', '.join(names)}): in the others the speed is below {speed}, where the direction "
             "of friction is not sure"

@@ -10,7 +10,7 @@ from rigs.files.command_line import COMMANDS
 from robot_sysid.pipeline.next_steps import STEPS, step_after
 from robot_sysid.records.messages import NextStep
 from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import last_lines, use_lines
+from robot_sysid.results.lines import last_lines, load_lines
 
 WORDS = {
     "log": ["first log.csv", "b.csv"],
@@ -45,19 +45,19 @@ def test_the_command_of_every_state_is_taken(state):
 def test_the_last_lines_name_the_files_that_were_written():
     step = NextStep("Next, plan", ("robot-sysid", "plan", "it's.xml"))
     found = content_of(made.found())
-    verdict, *lines = last_lines(found, [Path("o ut/updated_model.urdf")], step)
-    assert verdict.startswith("Usable: ")
+    verdict, mass, *lines = last_lines(found, [Path("o ut/updated_model.urdf")], step)
+    assert verdict == "Usable: o ut/updated_model.urdf"
+    assert mass.startswith("link6 weighs ")
     assert lines == [
-        "Use this file: o ut/updated_model.urdf",
         '  mujoco.MjModel.from_xml_path("o ut/updated_model.urdf")',
         f"It loads in MuJoCo {mujoco.__version__} (tested); others from 3.0 on load it if they "
         "load your model",
         "Next, plan:",
         "  robot-sysid plan 'it'\"'\"'s.xml'",
     ]
-    card = last_lines(content_of(made.payload()), [Path("out/payload_card.txt")], None)[
-        1
-    ]
+    *_, card = last_lines(
+        content_of(made.payload()), [Path("out/payload_card.txt")], None
+    )
     frame = "in the frame of site 'flange'"
     assert card == f"Copy into the controller, {frame}: out/payload_card.txt"
     refused = content_of(made.found(), failure="the disk is gone")
@@ -66,5 +66,5 @@ def test_the_last_lines_name_the_files_that_were_written():
 
 
 def test_a_path_with_quotes_is_python_too():
-    _, load, _ = use_lines(Path('a "b".xml'))
+    load, _ = load_lines(Path('a "b".xml'))
     assert load == '  mujoco.MjModel.from_xml_path("a \\"b\\".xml")'

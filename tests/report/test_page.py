@@ -151,13 +151,9 @@ def test_a_page_has_no_control_characters(link_run, tmp_path):
 
 def test_a_folder_that_was_moved_has_its_files_where_it_is(link_run, tmp_path):
     """Nor is a command repeated that was one for another place."""
-    lines = (
-        "Usable: yes",
-        "Use this file: old/updated_model.xml",
-        "  robot-sysid log a.csv",
-    )
+    lines = ("Usable: old/updated_model.xml", "  robot-sysid log a.csv")
     text = page_with(link_run, tmp_path, verdict=lines)
-    assert f"Use this file: {tmp_path / 'updated_model.xml'}</p>" in text
+    assert f"Usable: {tmp_path / 'updated_model.xml'}; torque error " in text
     assert "old/updated_model.xml" not in text and "<pre>robot-sysid" not in text
 
 
@@ -177,7 +173,7 @@ def test_no_text_of_a_result_becomes_a_command_or_a_file_of_another_folder(
     text = page_with(link_run, folder, file=file, **odd)
     assert "<pre>robot-sysid" not in text and "../updated_model.xml" not in text
     lines = load_run(folder).verdict
-    assert f"Use this file: {folder / 'updated_model.xml'}" in lines
+    assert lines[0].startswith(f"Usable: {folder / 'updated_model.xml'}; ")
     assert not [line for line in lines if line.startswith(command)]
 
 

@@ -69,7 +69,7 @@ def test_damaged_signals_and_those_of_another_run_are_refused(tmp_path, changes)
         ("{", "cannot read"),
         ("[]", "no result of this program"),
         ("{}", "schema_version None"),
-        ('{"schema_version": 3}', "this program reads 7; identify again"),
+        ('{"schema_version": 3}', "this program reads 8; identify again"),
     ],
 )
 def test_a_damaged_result_or_one_of_another_version_is_refused(tmp_path, text, message):

@@ -32,7 +32,7 @@ from robot_sysid.damiao.protocol import MODES, TIMEOUT_UNIT, Register, status_te
 from robot_sysid.damiao.references import Activity
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
+from robot_sysid.records.messages import Detail, Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import OptionRecord, command_arguments, option
 
 USUAL_CHANNEL = "can0"
@@ -255,8 +255,10 @@ def findings(
     if inspection is not None:
         remarks += session.inspection_checks(plan, inspection, is_real)
         motors = inspection.motors.values()
-        session.console.stage(*motor_table(motors, plan.trajectory.joints))
-        session.console.stage(*inspected_health(inspection))
+        lines = motor_table(motors, plan.trajectory.joints)
+        lines += inspected_health(inspection)
+        # Simulated motors are as the files say.
+        session.console.stage(*(lines if is_real else map(Detail, lines)))
     for remark in remarks:
         mark = "STOP" if remark.level is Level.REFUSES else "note"
         session.console.stage(f"[{mark}] {remark.text}")
@@ -313,9 +315,12 @@ def check_and_run(
                 console.stage(*run_health(stopped.report, joints))
         raise
     tracking = ", ".join(f"{error:.3f}" for error in report.worst_tracking)
-    console.stage(
+    timing = (
         f"played {report.cycles} cycles, {report.skipped} skipped; started late by "
-        f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)",
+        f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)"
+    )
+    console.stage(
+        timing if report.skipped else Detail(timing),
         f"largest distance from the path per joint [rad]: {tracking}",
         *run_health(report, joints),
     )
