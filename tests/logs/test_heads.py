@@ -98,7 +98,7 @@ def check_map(block: Block, folder: Path) -> None:
     declared = cells_of(block, "declared")
     assert columns.angle_declared == ("angle" in declared)
     assert columns.length_declared == ("length" in declared)
-    assert all(text in columns.describe()[0] for text in block.get("described", []))
+    assert all(text in columns.describe() for text in block.get("described", []))
 
 
 def check_refused_head(block: Block, folder: Path) -> None:

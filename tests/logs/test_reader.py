@@ -55,7 +55,7 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(
     assert_allclose(log.tau, expected, rtol=1e-14)
     assert_array_equal(log.q, motion(20).q)
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
-    assert "'tau1' x 0.5, 'tau2' x 0.5, 'tau3' x 0.5" in notes
+    assert "torque from 'tau1' x 0.5 ... 'tau3' x 0.5" in notes
 
 
 @pytest.mark.parametrize("form", recorded.FORMS)
