@@ -320,7 +320,7 @@ def _mass_text_of(content: Content) -> str:
     if row is None or row["error"] is None or row["value"] <= 0.0:
         return f"The mass of {of} alone is not identifiable"
     mass = number_with_error(row)
-    text = f"{of} weighs {mass}"
+    text = f"{'The payload' if of == PAYLOAD else of} weighs {mass}"
     if row["error"] >= KNOWN * row["value"]:
         text = f"The mass of {of} alone is not known: {mass}"
     return f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
