@@ -111,8 +111,8 @@ def write_servos(
     new = rms(result.after)
     model = folder / file_access.MODEL_NAMES["mjcf"]
     verdict = (
-        f"Usable: {model}; its position errors, simulated on what was not fitted, are "
-        f"{new / old:.2g} times those before"
+        f"Usable: {model}; position error {old:.2g} -> {new:.2g} rad over {result.window:.2g} s, "
+        f"about {result.expected:.2g} rad on other motions"
     )
     failure = None
     if not result.is_better:

@@ -301,7 +301,7 @@ def advice_lines(advice: list[Advice]) -> Iterator[str]:
     """Yield the printed lines of advice."""
     if not advice:
         return
-    yield "Advice (what is left, of the model played with more gain in the worst poses):"
+    yield "Advice (what is left in the worst poses, simulated with more gain):"
     for each in advice:
         yield f"  {each.line}"
     if any(each.left[0].numbers.get("sag", 0.0) > ENOUGH for each in advice):

@@ -17,7 +17,7 @@ import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
 from robot_sysid.mjcf.updated_model import ElementChange
 from robot_sysid.records import Array, DataOrigin, RobotModel
-from robot_sysid.records.messages import aligned_lines, number_text
+from robot_sysid.records.messages import Detail, aligned_lines, number_text
 from robot_sysid.records.quantities import FILE, MODEL, Quantity
 from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.results.written_model import versions
@@ -274,19 +274,25 @@ UNKNOWN = "?"
 
 
 def servo_lines(result: ServoIdentification) -> Iterator[str]:
-    """Yield the printed lines of a result: the tables of its numbers, and errors of rollouts."""
+    """Yield the printed lines of a result: the table of its sizes, and advice.
+
+    Delays and ratios, and errors of rollouts, are details.
+    """
     rows = {(row.name, row.of): row for row in result.quantities if row.source != FILE}
-    yield f"Servos (± one standard error; {UNKNOWN}: these logs do not show it):"
+    legend = f"± one standard error; {UNKNOWN}: these logs do not show it"
+    yield Detail(f"Servos ({legend}):")
     for name in ("command_delay", "simulated_delay"):
         row = rows[name, "arm"]
         error = row.error or 0.0
         value = number_text(row.value, error) if row.value else "0.0000"
-        yield f"  arm {name.replace('_', ' ')}  {value}  {number_text(error, error)}  s"
-    yield from _matrix(result, rows, RATIOS)
-    yield f"  {result.scale_text}:"
+        words = name.replace("_", " ")
+        yield Detail(f"  arm {words}  {value}  {number_text(error, error)}  s")
+    yield from map(Detail, _matrix(result, rows, RATIOS))
+    yield Detail(f"  {result.scale_text}:")
     yield from _matrix(result, rows, SIZES)
+    yield f"  {legend}"
     yield from advice_lines(result.advice)
-    yield (
+    yield Detail(
         f"Played on held-out windows of {result.window:.2g} s: root mean square position error "
         f"{rms(result.before):.3g} rad of the model before, {rms(result.after):.3g} of the new "
         f'one, {result.goal:.3g} of "position = command of some time before". On other motions '
