@@ -140,7 +140,7 @@ def run() -> list[list[str]]:
     record("found/weighed.csv", replace(arm, robot=loaded(robot, setting)), goals)
     weighed = printed(words)
     return [
-        block(from_line("Servos (", lines[: last + 1])),
+        block(from_line("gain, N·m/rad", lines[: last + 1])),
         block(step),
         block(from_line("gain, N·m/rad", weighed, 1 + robot.n_joints)),
         [
