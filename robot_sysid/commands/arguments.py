@@ -14,7 +14,7 @@ from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM, Console, ConsoleOptions, print_line
 from robot_sysid.errors import EXIT_CODES, InputError, prefix_input_errors
 from robot_sysid.records import option_fields as options
-from robot_sysid.records.file_access import read_toml
+from robot_sysid.records.file_access import begins_as_xml, read_toml
 from robot_sysid.wording import with_option_names
 
 MODEL = (
@@ -126,6 +126,9 @@ class Parser(argparse.ArgumentParser):
         group.add_argument("--help-all", action="help", help="print all options")
         names = [str(action.metavar) for action in self._arguments]
         self.usage = " ".join([self.prog, *names, "[options]"])
+        if self._takes_model_and_logs:
+            # Which of them is missing is said where all are told apart.
+            self._make_arguments_optional()
 
     def _add_group(self, title: str, group: Iterable[options.Option]) -> Any:
         """Add options as one group of the help, and return that."""
@@ -143,6 +146,18 @@ class Parser(argparse.ArgumentParser):
             flags = filter(None, (option.short, option.flag))
             help_group.add_argument(*flags, dest=option.key, **settings)
         return help_group
+
+    @property
+    def _takes_model_and_logs(self) -> bool:
+        """Whether the positional arguments are a model and logs, which come in any order."""
+        keys = {action.dest for action in self._arguments}
+        return len(keys) == 2 and MODEL[0].key in keys
+
+    def _make_arguments_optional(self) -> None:
+        """Let positional arguments be left out, as where a file of options has them."""
+        for action in self._arguments:
+            action.nargs = "*" if action.nargs in ("+", "*") else "?"
+            action.required = False
 
     @property
     def actions(self) -> list[argparse.Action]:
@@ -173,9 +188,7 @@ class Parser(argparse.ArgumentParser):
 
     def read_file(self, path: Path) -> Mapping[str, Any]:
         """Return the options of a TOML file; positional arguments may then be left out."""
-        for action in self._arguments:
-            action.nargs = "*" if action.nargs == "+" else "?"
-            action.required = False
+        self._make_arguments_optional()
         content = read_toml(path)
         known = {action.dest for action in self._actions}
         known -= {"config", "help", "help_all", "version"}
@@ -192,6 +205,8 @@ class Parser(argparse.ArgumentParser):
         a file.
         """
         given = vars(self.parse_args(arguments))
+        if self._takes_model_and_logs:
+            self._tell_apart(given, content)
         missing = []
         for action in self._arguments:
             # A positional argument that was not given is None, or an empty list of many.
@@ -204,9 +219,53 @@ class Parser(argparse.ArgumentParser):
             self.error(f"the following arguments are required: {names}")
         return given
 
+    def _tell_apart(self, given: dict[str, Any], content: Collection[str]) -> None:
+        """Give the model among the positional arguments to the option for it, the rest to the logs.
+
+        A file tells by itself what it is. Where none is a model, one that cannot be read is taken
+        for it, or one that is called like a model; whoever reads it says what is wrong with it.
+
+        Args:
+            given: values by key, which are changed.
+            content: keys of options of a file, which may have the model.
+
+        Raises:
+            InputError: there are several models, or logs alone.
+        """
+        paths: list[Path] = []
+        for action in self._arguments:
+            value = given[action.dest]
+            # Of many, argparse makes a list.
+            paths += value if isinstance(value, list) else filter(None, [value])
+        model_key = MODEL[0].key
+        (log_key,) = {action.dest for action in self._arguments} - {model_key}
+        models = [path for path in paths if begins_as_xml(path)]
+        if len(models) > 1:
+            listed = " and ".join(map(str, models))
+            self.error(f"{listed} are models; give one model, and logs of the arm")
+        if not models:
+            models = [path for path in paths if _may_become_model(path)]
+            if self._arguments[0].dest != model_key:
+                models.reverse()
+        if paths and not models and model_key not in content:
+            listed = " and ".join(map(str, paths))
+            verb = "is a log" if len(paths) == 1 else "are logs"
+            self.error(
+                f"{listed} {verb}; give the arm's model as well, MJCF, URDF or xacro"
+            )
+        given[model_key] = models[0] if models else None
+        given[log_key] = [path for path in paths if path not in models[:1]]
+
     def _print_message(self, message: str, file: Any = None) -> None:
         for line in message.splitlines():
             print_line(line, file or sys.stdout)
+
+
+def _may_become_model(path: Path) -> bool:
+    """Return whether a path is of no file that can be read, or called like a model."""
+    from robot_sysid.mjcf.documents import SUFFIXES
+
+    return begins_as_xml(path) is None or path.suffix.lower() in SUFFIXES
 
 
 def default_text(option: options.Option) -> str:

@@ -64,7 +64,9 @@ def run(values: Mapping[str, Any], console: Console) -> int:
         raise InputError(
             f"{folder} exists; choose another folder with --output-dir DIR"
         )
-    _copy_example(source_folder(name), folder)
+    source = source_folder(name)
+    console.stage(f"Simulating {len(PLANTS)} logs of the example's arm...")
+    _copy_example(source, folder)
     console.stage(f"Example copied to {folder}. What to do with it:")
     names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
     paths = {key: shell_word(str(folder / name)) for key, name in names.items()}

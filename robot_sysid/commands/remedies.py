@@ -9,7 +9,7 @@ from typing import Any
 from robot_sysid.commands import PROGRAM
 from robot_sysid.errors import ColumnsError, SysidError
 from robot_sysid.logs.declarations import units_with
-from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
+from robot_sysid.pipeline.next_steps import SAME_LOG, recording_ending, step_after
 from robot_sysid.records.messages import shell_line
 from robot_sysid.records.option_fields import leaves
 
@@ -70,7 +70,7 @@ def _weighing_command(
 ) -> Sequence[str]:
     """Return the command that finds the scales of torques with a weight of known mass."""
     # The recording with the weight has the form of the log, and lies beside it.
-    weight = logs[0].with_name(f"weight{logs[0].suffix}")
+    weight = logs[0].with_name(f"weight{recording_ending(logs[0])}")
     state = "torque scales unknown"
     return step_after(state, values, *option, log=logs, weight=weight).command
 

@@ -31,7 +31,7 @@ from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.suggestion import shortened, suggest_columns
 from robot_sysid.logs.table import LogTable, as_input_errors
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
-from robot_sysid.records.file_access import refuse_special_file
+from robot_sysid.records.file_access import begins_as_xml, refuse_special_file
 from robot_sysid.records.messages import Detail, Progress, count_text
 from robot_sysid.records.option_fields import (
     CONSTANTS,
@@ -279,6 +279,8 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         forms = [form for name, form in FOLDERS.items() if (path / name).is_file()]
     else:
         refuse_special_file(path, "a log is read twice: write it to a file")
+        if begins_as_xml(path):
+            raise InputError(f"{path} is XML, as models are, and no log; give a log")
         try:
             with path.open("rb") as stream:
                 beginning = stream.read(4096)

@@ -266,11 +266,7 @@ def _parse(raw: bytes, path: Path) -> Node:
             fault = f"{entry.message.splitlines()[0].strip()}, line {entry.line}"
             break
     if root is None:
-        order = "; order: robot-sysid identify MODEL LOG, but robot-sysid log LOG MODEL"
-        hint = "" if path.suffix.lower() in SUFFIXES else order
-        raise ModelError(
-            f"Expected an XML model file, but {path} is not XML: {fault}{hint}"
-        )
+        raise ModelError(f"Expected an XML model file, but {path} is not XML: {fault}")
     for node in root.iter("*"):
         if node.prefix is None and node.tag.startswith("{"):
             node.tag = node.tag.rpartition("}")[2]

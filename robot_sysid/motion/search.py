@@ -26,7 +26,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 from operator import attrgetter
 
@@ -35,7 +34,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.expected.criterion import Criterion, PriorKnowledge, gradient_of
 from robot_sysid.expected.planned_arm import motion_of_samples
-from robot_sysid.motion import ExcitationOptions
+from robot_sysid.motion import Effort, ExcitationOptions
 from robot_sysid.motion.clearance import SEARCH_HORIZON, TightPairs
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import LIMIT_SHARE, OBSTACLE_LENGTH, ExcitationProblem
@@ -83,6 +82,8 @@ lead into a gain."""
 PATIENCE = 3
 """Rounds without a gain after which a search ends, though a better motion breaks limits: what is in
 its way lies between the points that the search looks at."""
+USUAL_ROUNDS = 15
+"""Rounds of a usual search, for its progress alone: arms of six and seven joints take 8 to 21."""
 CHECK_RATE_HZ = 100.0
 """Rate at which limits of joints and tool are checked between rounds [Hz]: sinusoids of 0.6 Hz
 exceed their peaks at these samples by 0.02 % at most."""
@@ -393,25 +394,24 @@ def design_excitation(
     effort = design.effort
     time_budget = design.options.time_budget
     # The two best random trajectories are improved by one round; only the best of these gets more
-    # rounds. Nobody knows how many follow the first: each counts half of the one before it.
+    # rounds.
     n_starts = 2
-    n_steps = effort.draws + (n_starts + 2) * effort.iterations
     begin = clock()
-    done = 0.0
+    done = 0
 
-    def is_late(step: float) -> bool:
-        """Show that one more step, or a share of it, is done; return whether time is used up."""
+    def is_late() -> bool:
+        """Show that one more trajectory or iteration is done; return whether time is used up."""
         nonlocal done
-        done += step
+        done += 1
         elapsed = clock() - begin
         used = elapsed / (time_budget or np.inf)
-        share = min(max(done / n_steps, used), 1.0)
+        share = min(max(_share_done(effort, done), used), 1.0)
         progress.advance(SEARCHING, share, 1.0, f"{elapsed:.0f} s")
         return used > 1.0
 
-    def tick(step: float) -> None:
+    def tick() -> None:
         """Count an iteration of a round; raise TimeoutError where time is used up."""
-        if is_late(step):
+        if is_late():
             raise TimeoutError
 
     seed = int(rng.integers(2**62))
@@ -422,7 +422,7 @@ def design_excitation(
             break
         draws.append(draw_trajectory(design, seed, number))
         n_usable += int(np.isfinite(draws[-1].score))
-        if is_late(1.0) and np.isfinite(draws[-1].score):
+        if is_late() and np.isfinite(draws[-1].score):
             break
     starts = (
         first_candidate(design, draw.x)
@@ -434,11 +434,11 @@ def design_excitation(
         raise InputError(_infeasibility(draws))
     try:
         for number, start in enumerate(candidates):
-            candidates[number] = improve(design, start, partial(tick, 1.0))
+            candidates[number] = improve(design, start, tick)
         rounds_without_gain = 0
-        for number in range(1, effort.rounds):
+        for _ in range(1, effort.rounds):
             previous = min(candidates, key=attrgetter("feasible_score"))
-            best = improve(design, previous, partial(tick, 0.5 ** (number - 1)))
+            best = improve(design, previous, tick)
             candidates = [best]
             if previous.feasible_score - best.feasible_score >= LEAST_GAIN:
                 rounds_without_gain = 0
@@ -451,9 +451,21 @@ def design_excitation(
             "the search was ended early, so that another run may find another trajectory; this is "
             "the best one until then"
         )
-    progress.advance(SEARCHING, 1.0, 1.0, "")
     best = min(candidates, key=attrgetter("feasible_score"))
-    return _checked_trajectory(design, best.feasible_x)
+    plan = _checked_trajectory(design, best.feasible_x)
+    progress.advance(SEARCHING, 1.0, 1.0, "")
+    return plan
+
+
+def _share_done(effort: Effort, done: int) -> float:
+    """Return the share of a search that is done after some trajectories and iterations.
+
+    Nobody knows which round is the last one: before it, a few always seem to follow.
+    """
+    usual = effort.draws + min(effort.rounds, USUAL_ROUNDS) * effort.iterations
+    least_ahead = min(effort.rounds, PATIENCE) * effort.iterations
+    ahead = max(usual - done, least_ahead)
+    return done / (done + ahead)
 
 
 def _infeasibility(draws: list[Draw]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -92,20 +93,20 @@ STEPS: Mapping[str, Step] = {
         starts_motion=True,
     ),
     "further motion recorded": Step(
-        "Record it as {folder}/planned/log.csv, and identify the arm from all logs",
-        "identify {model} {log} {folder}/planned/log.csv {options} --output-dir {folder}/both",
+        "Record it as {folder}/planned/log{ending}, and identify the arm from all logs",
+        "identify {model} {log} {folder}/planned/log{ending} {options} --output-dir {folder}/both",
     ),
     "part bolted on": Step(
-        "Next, if it can be taken off, record {folder}/empty.csv without it, and weigh it by "
+        "Next, if it can be taken off, record {folder}/empty{ending} without it, and weigh it by "
         "difference",
-        "payload {model} --empty {folder}/empty.csv --loaded {log} {options} --output-dir "
+        "payload {model} --empty {folder}/empty{ending} --loaded {log} {options} --output-dir "
         "{folder}/weighed",
     ),
     "servo sizes unknown": Step(
         "Next, fix {mass} kg to the last link at {place} m in the frame of {body}, record the same "
-        "motion once more as {folder}/weighed.csv, and fit both: absolute sizes of {joints} "
+        "motion once more as {folder}/weight{ending}, and fit both: absolute sizes of {joints} "
         "{now} -> {after}",
-        "identify {model} {log} {folder}/weighed.csv --torque-from position-error {options} "
+        "identify {model} {log} {folder}/weight{ending} --torque-from position-error {options} "
         "--output-dir {folder}/weighed",
     ),
     "torque scales known": Step(
@@ -127,7 +128,8 @@ def step_after(
             repeats those that choose the arm and say how its logs are read, but for options that
             it states itself, or that another log lacks.
         further: more arguments of the command.
-        words: what fills the other names in braces, a word, a path, or several of them.
+        words: what fills the other names in braces, a word, a path, or several of them. New
+            recordings get the ending of the log that was read.
     """
     step = STEPS[state]
     parts = step.command.split()
@@ -141,6 +143,7 @@ def step_after(
     repeated = [option for option in every if option.flag not in stated]
     options = command_arguments(values, repeated)
     words = {"model": values["path"], "options": [*options, *further], **words}
+    words["ending"] = _ending_of(words.get("log"))
     command = ["robot-sysid"]
     for part in parts:
         filling = words.get(part.strip("{}"))
@@ -150,6 +153,20 @@ def step_after(
         filled = part.format(**words)
         command.append(str(Path(filled)) if "{folder}" in part else filled)
     return NextStep(step.sentence.format(**words), tuple(command))
+
+
+def _ending_of(logs: Any) -> str:
+    """Return the ending of new recordings beside a log, or the first of several, as a path.
+
+    It is that of a table of text where there is none, or one that a program holds.
+    """
+    log = logs[0] if isinstance(logs, (list, tuple)) else logs
+    return recording_ending(Path(log)) if isinstance(log, (str, Path)) else ".csv"
+
+
+def recording_ending(log: Path) -> str:
+    """Return what ends the names of recordings of a log's form; "" for folders, such as bags."""
+    return "" if os.path.isdir(log) else log.suffix
 
 
 def step_with_motion(

@@ -112,6 +112,25 @@ def refuse_special_file(
         )
 
 
+def begins_as_xml(path: Path) -> bool | None:
+    """Return whether a file's first character is "<", as that of every model and of no log.
+
+    None where there is no file that can be read; a folder, as of a ROS bag, is no XML.
+    """
+    if os.path.isdir(path):  # Path.is_dir raises where a name is too long
+        return False
+    try:
+        if not os.path.isfile(path):
+            return None
+        with open(path, "rb") as file:
+            beginning = file.read(_PIECE)
+    except (OSError, ValueError):
+        return None
+    # A mark of the encoding, and the zeros of one with two or four bytes to a character.
+    text = beginning.lstrip(b"\xef\xbb\xbf\xfe\xff").replace(b"\0", b"")
+    return text.lstrip().startswith(b"<")
+
+
 def read_text(path: Path, remedy: str) -> str:
     """Return the content of a text file in UTF-8, or raise InputError that ends with a remedy."""
     refuse_special_file(path, remedy)

@@ -48,13 +48,6 @@ def test_what_is_no_model_is_refused_in_one_line(tmp_path, content, message):
         read_document(path)
 
 
-def test_a_log_in_the_place_of_the_model_is_met_with_the_order_of_both(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("time,q1\n0,1\n")
-    with refused("log LOG MODEL$", ModelError):
-        read_document(path)
-
-
 def test_a_folder_and_a_missing_file_are_one_line(tmp_path):
     with refused("is a folder"):
         read_document(tmp_path)

@@ -220,6 +220,16 @@ def test_rounds_improve_the_objective_and_report_progress():
     assert shares[0] < 0.1 and 0.6 < shares[-2] < 1.0
 
 
+def test_the_progress_is_full_only_when_the_search_has_ended():
+    """However many rounds follow: the last share before the end is far from full."""
+    progress = NoteRecorder()
+    design = make_design(small_arms.THREE, rounds=40, iterations=3)
+    run_search(design, 3, progress)
+    *before, last = progress.shares
+    assert last == 1.0 and len(before) > 10
+    assert max(before) < 0.97 and np.all(np.diff(progress.shares) >= 0.0)
+
+
 def test_an_interruption_keeps_the_best_trajectory():
     def interrupt(share):
         if 0.5 < share < 1.0:

@@ -42,6 +42,22 @@ def test_the_command_of_every_state_is_taken(state):
     assert ("b.csv" in words) == ("{log}" in STEPS[state].command)
 
 
+@pytest.mark.parametrize(
+    "name, ending",
+    [("run.csv", ".csv"), ("run.mcap", ".mcap"), ("2026.10.01", ""), ("data", "")],
+)
+def test_a_new_recording_has_the_form_of_the_log(tmp_path, name, ending):
+    log = tmp_path / name
+    if not ending:
+        log.mkdir()
+    for state, new in (("part bolted on", "empty"), ("servo sizes unknown", "weight")):
+        step = step_after(state, {"path": "arm.xml"}, **{**WORDS, "log": [log]})
+        recording = str(Path("out") / f"{new}{ending}")
+        assert recording in step.command and recording in step.sentence
+    held = step_after("part bolted on", {"path": "arm.xml"}, **{**WORDS, "log": 1.0})
+    assert str(Path("out/empty.csv")) in held.command
+
+
 def test_the_last_lines_name_the_files_that_were_written():
     step = NextStep("Next, plan", ("robot-sysid", "plan", "it's.xml"))
     found = content_of(made.found())

@@ -102,7 +102,7 @@ def test_the_command_says_what_each_log_was_recorded_with(robot, tmp_path):
     stated = [b for a, b in zip(words, words[1:]) if a == "--servo-setting"]
     assert stated == ["kp=16, load=0", "kp=16, load=0", "kp=16, load=0.5 at 0 0 0.08"]
     assert parse_servo_setting(stated[-1]).load_position == (0.0, 0.0, 0.08)
-    assert [str(tmp_path / "weighed.csv"), "--units"] == [
+    assert [str(tmp_path / "weight.csv"), "--units"] == [
         words[words.index("b.csv") + 1],
         words[words.index("deg") - 1],
     ]
@@ -125,7 +125,7 @@ def test_the_weight_tells_what_is_expected_of_it(robot, tmp_path):
     heavier = servo_logs.LIGHT.replace('mass=".01"', 'mass=".015"')
     arm = servo_logs.WeighedServos(robot_of(heavier))
     truth = servo_logs.LIGHT_TRUTH.numbers[0]
-    paths = [tmp_path / name for name in ("log.csv", "weighed.csv")]
+    paths = [tmp_path / name for name in ("log.csv", "weight.csv")]
     arm.record(paths[0], None, 0.0)
 
     def gains(count, settings):
