@@ -29,7 +29,7 @@ def workshop(tmp_path_factory):
 
 PYTHON = ROOT / "docs/python.md"
 """Needs no file that it does not write."""
-DAY = ROOT / "docs/damiao.md"
+DAY = ROOT / "docs/motors.md"
 """Its commands run on simulated motors, see ``commands/test_first_day.py``."""
 WITH_BLOCKS = [
     page for page in pages.PAGES if page not in (PYTHON, DAY) and pages.blocks(page)

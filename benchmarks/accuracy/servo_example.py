@@ -7,7 +7,7 @@ positions are logged at 30 Hz in steps of an encoder with 4096 a turn. ``identif
 and the command that it prints is typed once more of a second log, with the weight that it asks for.
 The servos have one kind of gears and five gains; links, damping, dry friction, rotors and torque
 limits are those of the file. MuJoCo then plays the log with the lines of Python that the page has.
-The advice is of BAM's recordings of an XL330. ``--write`` puts all of it into docs/rollout.md.
+The advice is of BAM's recordings of an XL330. ``--write`` puts all of it into docs/servos.md.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from robot_sysid.records.servo_setting import parse_servo_setting
 from robot_sysid.servo.loop import rms
 from robot_sysid.servo.setting import loaded
 
-PAGE = ROOT / "docs" / "rollout.md"
+PAGE = ROOT / "docs" / "servos.md"
 TABLES = (
     PageTable(PAGE, "servos", "python -m benchmarks.accuracy.servo_example"),
     PageTable(PAGE, "weight", "python -m benchmarks.accuracy.servo_example"),

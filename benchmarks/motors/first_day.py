@@ -1,4 +1,4 @@
-"""How long each step of the day of docs/damiao.md takes, on simulated motors.
+"""How long each step of the day of docs/motors.md takes, on simulated motors.
 
 Run from the checkout:
 

@@ -8,7 +8,7 @@ Run from the checkout, nothing else running; it exits with 1 when a run was stop
 
 ``rigs.motors.realtime_arm`` is the arm, behind a pseudo-terminal; ``robot-sysid motors play`` is
 another process. On a busy computer a program of ordinary priority keeps each processor busy. The
-user needs the right to real-time priority, see docs/damiao.md.
+user needs the right to real-time priority, see docs/motors.md.
 
 A motor never pauses, but the simulated arm does when the computer does. Three delays are printed:
 how long the arm kept commands waiting; how long each processor stood still (a virtual machine loses

@@ -1,4 +1,4 @@
-"""The first day with an arm, as docs/damiao.md tells it, with its commands on simulated motors.
+"""The first day with an arm, as docs/motors.md tells it, with its commands on simulated motors.
 
 The motors are mounted otherwise than the joints of the model: some turn the other way, and each has
 its zero elsewhere. A person beside the arm does what the commands ask for.
@@ -27,7 +27,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulation.usual_arm import usual_arm
 
-PAGE = ROOT / "docs" / "damiao.md"
+PAGE = ROOT / "docs" / "motors.md"
 MODEL_NAME = "my_arm.xml"
 """Name of the arm's model on the page."""
 DIRECTIONS = 1, -1

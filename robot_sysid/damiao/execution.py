@@ -185,7 +185,7 @@ _USUAL_ARM = 0
 # How far a joint that is to be held may be from where it was inspected [rad]: the arm stays there.
 # With more, an arm that somebody has moved meanwhile would be moved back.
 _HELD_TOLERANCE = 0.05
-# Timeout of a simulated motor's watchdog [s]: as docs/damiao.md recommends for real motors; and in
+# Timeout of a simulated motor's watchdog [s]: as docs/motors.md recommends for real motors; and in
 # control cycles, where those are slow: two more than the least that is allowed.
 _SIMULATED_WATCHDOG = 0.1
 _WATCHDOG_CYCLES = 12.0

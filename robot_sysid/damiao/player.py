@@ -126,7 +126,7 @@ class CycleTimer:
         if lateness > self.max_lateness:
             raise HardwareAbort(
                 f"the computer was {1e3 * lateness:.1f} ms late for a control cycle, limit "
-                f"{1e3 * self.max_lateness:g} ms; allow real-time priority (see docs/damiao.md), "
+                f"{1e3 * self.max_lateness:g} ms; allow real-time priority (see docs/motors.md), "
                 f"close other programs or lower {option_name('rate')}"
             )
 

@@ -59,7 +59,7 @@ STEPS: Mapping[str, Step] = {
     ),
     "motion planned for servos": Step(
         "Next, play {folder}/goals.csv on the servos, record goals and positions as {log} (with "
-        "LeRobot: docs/rollout.md), and identify the servos",
+        "LeRobot: docs/servos.md), and identify the servos",
         "identify {model} {log} --torque-from position-error {options} --output-dir {folder}",
     ),
     "load not seen": Step(

@@ -1,4 +1,4 @@
-"""The day of docs/damiao.md: each command of the page runs as printed, and prints the next one."""
+"""The day of docs/motors.md: each command of the page runs as printed, and prints the next one."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ MOST_LOST = 0.1
 """Share of requests without an answer from which on nothing is played: five commands in a row are
 then lost by chance within a minute of seven motors at 250 Hz, and stop the run."""
 USUAL_WATCHDOG = 0.1
-"""Least timeout that is proposed [s]: the one that docs/damiao.md recommends."""
+"""Least timeout that is proposed [s]: the one that docs/motors.md recommends."""
 
 
 def stops(checks: Sequence[Remark]) -> list[str]:
