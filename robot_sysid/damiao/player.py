@@ -225,7 +225,9 @@ class Player:
         self._stop = stop
         self._recorder = recorder
         self._console = console
-        self._announce = lambda text: console(partial(on_phase, text))
+        self._announce: Callable[[str], None] = lambda text: console(
+            partial(on_phase, text)
+        )
         self._holding = holding
         self._watch = Watch(
             session.joints, settings, session.steps, session.limits.torque, holding

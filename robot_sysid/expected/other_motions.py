@@ -16,13 +16,9 @@ from robot_sysid.estimate.fit import Fit, settled_values
 from robot_sysid.estimate.rows import Sums
 from robot_sysid.estimate.terms import LAST_LINK, PAYLOAD
 from robot_sysid.expected.errors import ExpectedSquares, largest_expected
-from robot_sysid.expected.knowledge import (
-    is_without_rows,
-    knowledge_of,
-    with_zero_torque,
-)
+from robot_sysid.expected.knowledge import knowledge_of
 from robot_sysid.expected.motions import highest_speed, made_up_motions, sums_elsewhere
-from robot_sysid.expected.unknown import still_joints
+from robot_sysid.expected.unknown import is_without_rows, still_joints, with_zero_torque
 from robot_sysid.expected.unrecorded_arm import is_held
 from robot_sysid.records import Array
 

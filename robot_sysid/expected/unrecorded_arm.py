@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import OFFSET, ROTOR
-from robot_sysid.estimate.fit import Equations, Fit
+from robot_sysid.estimate.equations.normal import Equations
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.links import EXPECTED, link_factor
 from robot_sysid.estimate.options import (
     FILE_FRICTION,

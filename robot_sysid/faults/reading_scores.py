@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.dynamics.inverse_dynamics import ARRAY_SIZE
 from robot_sysid.estimate.equations.inverse import rough_solution
-from robot_sysid.estimate.fit import Equations, equations_of
+from robot_sysid.estimate.equations.normal import Equations, equations_of
 from robot_sysid.estimate.rows import Rows, of_rounding
 from robot_sysid.estimate.terms import ArmTerms, Point, Term
 from robot_sysid.faults.readings import Reading, directions

@@ -41,8 +41,8 @@ from robot_sysid.motion.problem import LIMIT_SHARE, OBSTACLE_LENGTH, ExcitationP
 from robot_sysid.records import Array
 from robot_sysid.records.limits import ROUNDING, limit_name, limited_quantities
 from robot_sysid.records.messages import Progress
-from robot_sysid.records.option_fields import TOP_FREQUENCY_HZ
-from robot_sysid.trajectory import SineTrajectory, TrajectoryOptions
+from robot_sysid.records.option_fields import TOP_FREQUENCY_HZ, TrajectoryOptions
+from robot_sysid.trajectory import SineTrajectory
 from robot_sysid.wording import option_name
 
 GRID_PER_CYCLE = 25

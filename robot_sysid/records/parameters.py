@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.records.arm import Array, RobotModel
+from robot_sysid.records.arm import RobotModel
+from robot_sysid.records.arrays import Array
 from robot_sysid.records.data import Motion
 from robot_sysid.records.messages import torque_unit
 from robot_sysid.spatial import PARAMETER_NAMES
