@@ -63,11 +63,12 @@ def arm_motors(options: MotorOptions, robot: RobotModel) -> ArmMotors:
     def write(chunks: Iterable[MotionChunk], file: TextIO) -> list[str]:
         """Write a motion, clamped to what frames can carry; return the shares that were clamped."""
         percent = export_damiao_trajectory(chunks, joints, file)
-        lines = ["Damiao export, clamped to motor limits:"]
-        for joint, share in zip(joints, percent):
-            remedy = "; use a stronger motor or a slower trajectory" if share else ""
-            lines.append(f"  {joint.name} ({joint.motor_type}): {share:.1f} %{remedy}")
-        return lines
+        shares = [
+            f"{joint.name} ({joint.motor_type}) {share:.1f} %"
+            for joint, share in zip(joints, percent)
+        ]
+        remedy = "; use stronger motors or a slower trajectory" if any(percent) else ""
+        return [f"Damiao export, clamped to motor limits: {', '.join(shares)}{remedy}"]
 
     return ArmMotors(limits, execution.LIMITS, write, export_weight)
 

@@ -40,7 +40,14 @@ from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName, Needs, StandsFor
 from robot_sysid.records.file_access import RUN_NAME, read_toml
-from robot_sysid.records.messages import Detail, Level, Progress, count_text, with_error
+from robot_sysid.records.messages import (
+    Detail,
+    Level,
+    Progress,
+    count_text,
+    number_text,
+    with_error,
+)
 from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.report.runs import Run, load_run
 from robot_sysid.wording import option_name
@@ -431,7 +438,8 @@ def sentences(rows: Sequence[Change], of_model: bool = False) -> list[str]:
             sizes_of.append(row.least_either_way)
     sizes = []
     for (words, unit), values in least.items():
-        span = dict.fromkeys(f"{size:.2g}" for size in (min(values), max(values)))
+        ends = (min(values), max(values))
+        span = dict.fromkeys(number_text(size, size) for size in ends)
         sizes.append(f"{' to '.join(span)} {unit} of {words}")
     unseen = f"less than this would not show: {', '.join(sizes)}"
     lines = [f"no difference beyond the errors; {unseen}"]

@@ -287,7 +287,13 @@ def servo_lines(result: ServoIdentification) -> Iterator[str]:
         value = number_text(row.value, error) if row.value else "0.0000"
         words = name.replace("_", " ")
         yield Detail(f"  arm {words}  {value}  {number_text(error, error)}  s")
-    yield from map(Detail, _matrix(result, rows, RATIOS))
+    # Of a joint whose sizes do not show, the ratios are the answer.
+    gains = [rows[SIZES[0], joint] for joint in result.robot.joint_names]
+    has_size = [_is_shown(row.value, row.error or 0.0) for row in gains]
+    heading, *ratios = _matrix(result, rows, RATIOS)
+    yield Detail(heading) if all(has_size) else heading
+    for is_detail, line in zip(has_size, ratios):
+        yield Detail(line) if is_detail else line
     yield Detail(f"  {result.scale_text}:")
     yield from _matrix(result, rows, SIZES)
     yield f"  {legend}"
@@ -305,8 +311,8 @@ def _matrix(
     result: ServoIdentification,
     rows: dict[tuple[str, str], Quantity],
     names: tuple[str, ...],
-) -> Iterator[str]:
-    """Yield lines with a row for each joint and a column for each number."""
+) -> list[str]:
+    """Return lines with a row for each joint and a column for each number, below headings."""
     table = [["", *(COLUMNS[name][0] for name in names)]]
     for joint in result.robot.joint_names:
         cells = []
@@ -315,17 +321,21 @@ def _matrix(
             factor = COLUMNS[name][1]
             cells.append(_cell(factor * row.value, factor * (row.error or 0.0)))
         table.append([joint, *cells])
-    for line in aligned_lines(table):
-        yield f"  {line}"
+    return [f"  {line}" for line in aligned_lines(table)]
 
 
 def _cell(value: float, error: float) -> str:
     """Return a number with its error, or that it is not shown."""
     if abs(value) < NOTHING and error < NOTHING:
         return "0"
-    if not error < LARGEST_ERROR * abs(value):
+    if not _is_shown(value, error):
         return UNKNOWN
     return f"{number_text(value, error)} ± {number_text(error, error)}"
+
+
+def _is_shown(value: float, error: float) -> bool:
+    """Return whether logs show a number."""
+    return error < LARGEST_ERROR * abs(value)
 
 
 def servo_notes(result: ServoIdentification) -> Iterator[str]:
