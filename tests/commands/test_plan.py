@@ -92,7 +92,7 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
     def write_or_interrupt(text):
         write(text)
         progress = re.match(r"Searching for the best motion: (\d+) %, \d+ s", text)
-        if progress and int(progress[1]) > 30:
+        if progress and int(progress[1]) > 15:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(sys.stderr, "write", write_or_interrupt)
