@@ -18,6 +18,7 @@ import numpy as np
 from rigs.files.places import ROOT
 from robot_sysid.api.calls import plan
 from robot_sysid.cli import main as run_command
+from robot_sysid.records import Traces
 from robot_sysid.report import figures
 from robot_sysid.report.drawing import COLOURS, drawing_style
 from robot_sysid.report.pictures import pictures
@@ -33,13 +34,18 @@ HEIGHT = 620
 PATH_COLOUR = (0.05, 0.38, 0.75, 1.0)
 
 
+def joint_of_largest_change(traces: Traces) -> int:
+    """Return the index of the joint whose root mean square residual has changed most."""
+    before = np.nanmean((traces.measured - traces.prior_prediction) ** 2, axis=0)
+    after = np.nanmean(traces.residual**2, axis=0)
+    return int(np.argmax(np.abs(np.sqrt(before) - np.sqrt(after))))
+
+
 def torques() -> str:
     """Return the report's figure of the joint that changed most, as an SVG file."""
     traces = load_run(Path("found")).traces
     with drawing_style():
-        text = figures.torque_figure(
-            traces, figures.joint_of_largest_change(traces)
-        ).svg
+        text = figures.torque_figure(traces, joint_of_largest_change(traces)).svg
     for name, colour in COLOURS.items():
         text = text.replace(f"var(--{name})", colour)
     names = (

@@ -87,11 +87,11 @@ def drawing_style() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float, rows: int = 1) -> Any:
-    """Return (matplotlib's figure of a height [px], its axes (rows, 1) above one another)."""
+def new_figure(height: float, rows: int = 1, width: float = WIDTH) -> Any:
+    """Return (matplotlib's figure of a size [px], its axes (rows, 1) above one another)."""
     from matplotlib.figure import Figure as Canvas
 
-    canvas = Canvas(figsize=(WIDTH / PIXELS_PER_INCH, height / PIXELS_PER_INCH))
+    canvas = Canvas(figsize=(width / PIXELS_PER_INCH, height / PIXELS_PER_INCH))
     return canvas, canvas.subplots(rows, squeeze=False, sharex=True)
 
 

@@ -5,6 +5,9 @@ A joint is known by its index from the base.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 
 from robot_sysid.records import Array, Traces
@@ -15,6 +18,15 @@ TORQUE_HEIGHT = 310.0
 """Height of a figure of torques above residuals [px]."""
 FRICTION_HEIGHT = 230.0
 """Height of a figure of friction [px]."""
+PANEL_WIDTH = 230.0
+"""Width of a panel of the grid of all joints [px]: three fit side by side in half a screen, two on
+a phone."""
+PANEL_HEIGHT = 130.0
+"""Height of a panel [px]: seven joints in rows of three fit on the first screen."""
+MOST_POINTS = 200
+"""Number of points of a line of a panel from which there are several to a pixel."""
+MOST_TICKS = 3
+"""Number of intervals between ticks of a panel, of which a wider choice would overlap."""
 MEASURED_WIDTH = 3.2
 """Width of the line of measured torque [px], behind the predicted ones, so that it shows beside
 them."""
@@ -49,10 +61,55 @@ def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
     return Figure(caption, svg(canvas, f"{name}-{joint}"))
 
 
-def joint_of_largest_change(traces: Traces) -> int:
-    """Return the index of the joint whose root mean square residual has changed most."""
-    before = _rms(traces.measured - traces.prior_prediction)
-    return int(np.argmax(np.nan_to_num(np.abs(before - _rms(traces.residual)))))
+def torque_panel(traces: Traces, joint: int) -> Figure:
+    """Return the small figure of a joint's torque, measured and predicted, for a grid of all."""
+    canvas, ((axes,),) = new_figure(PANEL_HEIGHT, width=PANEL_WIDTH)
+    chosen = slice(None, None, max(1, len(traces.time) // MOST_POINTS))
+    time = traces.time[chosen]
+    lines = (
+        ("measured", traces.measured, "-", MEASURED_WIDTH),
+        ("before", traces.prior_prediction, "--", None),
+        ("after", traces.predicted, "-", None),
+    )
+    for name, torque, style, width in lines:
+        colour = COLOURS[name]
+        axes.plot(time, torque[chosen, joint], style, color=colour, lw=width)
+    axes.locator_params(nbins=MOST_TICKS)
+    unit = torque_unit(traces.is_slide[joint])
+    caption = f"{traces.joints[joint]}: torque [{unit}]"
+    return Figure(caption, svg(canvas, f"panel-{joint}"))
+
+
+class ErrorBars(NamedTuple):
+    """The error of a joint's torque before and after, as two bars.
+
+    Attributes:
+        joint: its name.
+        before: error of the model before, over the joint's own torque; NaN where it has none.
+        after: that of the result.
+        scale: the largest error of all joints, to which bars are drawn.
+    """
+
+    joint: str
+    before: float
+    after: float
+    scale: float
+
+
+def error_bars(errors: Mapping[str, tuple[float, float]]) -> list[ErrorBars]:
+    """Return the bars of all joints; ``errors``: joint to its relative error before and after."""
+    numbers = [error for pair in errors.values() for error in pair]
+    scale = max(filter(np.isfinite, numbers), default=0.0) or 1.0
+    return [ErrorBars(joint, *pair, scale) for joint, pair in errors.items()]
+
+
+def drawn_errors(traces: Traces) -> dict[str, tuple[float, float]]:
+    """Return joint to the relative error of its torques as they are drawn, before and after."""
+    torque = _rms(traces.measured)
+    before = _rms(traces.measured - traces.prior_prediction) / torque
+    after = _rms(traces.residual) / torque
+    pairs = zip(before.tolist(), after.tolist())
+    return dict(zip(traces.joints, pairs))
 
 
 def _rms(values: Array) -> Array:

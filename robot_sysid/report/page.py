@@ -123,6 +123,7 @@ def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str,
         **_summary_of(run),
         "tables": _tables(run),
         "figures": drawn,
+        "bars": figures.error_bars(_errors_of_joints(run)),
         "pictures": images,
         "no_pictures": no_pictures,
         "card": card.read_text("utf-8") if card.is_file() else "",
@@ -192,15 +193,36 @@ def _figures_of(run: Run, progress: Progress) -> dict[str, list[Figure]]:
     traces = run.traces
     if traces is None:
         return {}
-    joint = figures.joint_of_largest_change(traces)
-    first = figures.torque_figure(traces, joint, "first")
-    drawn = {"first": [first], "torques": [], "friction": []}
+    drawn: dict[str, list[Figure]] = {"joints": [], "torques": [], "friction": []}
     for joint in range(len(traces.joints)):
         progress.advance("Drawing the report", joint, len(traces.joints), "")
+        drawn["joints"].append(figures.torque_panel(traces, joint))
         drawn["torques"].append(figures.torque_figure(traces, joint))
         if np.any(traces.friction[:, joint]):
             drawn["friction"].append(figures.friction_figure(traces, joint))
     return drawn
+
+
+def _errors_of_joints(run: Run) -> dict[str, tuple[float, float]]:
+    """Return joint to the relative error of its torque, before and after.
+
+    They are those of the verdict, of the written model on data that did not make it; without such a
+    file, those of the fit.
+    """
+    file = run.content["file"]
+    if not file:
+        return figures.drawn_errors(run.traces) if run.traces else {}
+    used = file_to_use(file)
+    before, after = (
+        used[model]["relative_error_per_joint"]
+        for model in ("before_as_used", "after_as_used")
+    )
+    errors = {}
+    for joint, error in before.items():
+        pair = [error, after[joint]]
+        first, second = (np.nan if value is None else value for value in pair)
+        errors[joint] = (float(first), float(second))
+    return errors
 
 
 def _prose(text: str) -> Any:

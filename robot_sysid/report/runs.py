@@ -20,6 +20,7 @@ from robot_sysid.records import ITSELF, SIGNAL_NAMES, Array, Traces
 from robot_sysid.records.file_access import (
     PARAMS_NAME,
     RESULT_NAMES,
+    SERVO_NAME,
     read_json,
     write_atomically,
 )
@@ -167,6 +168,9 @@ def load_run(folder: Path) -> Run:
     path = folder / PARAMS_NAME
     remedy = "identify again"
     if not path.is_file():
+        servos = folder / SERVO_NAME
+        if servos.is_file():
+            raise InputError(f"there is no page about servos; {servos} has all numbers")
         raise InputError(
             f"{folder} holds no result: there is no {PARAMS_NAME}; give the folder that a run "
             "wrote to"

@@ -1,6 +1,7 @@
 """The page is one file that loads no other, escapes names, is complete and reproducible."""
 
 import json
+import math
 import re
 import shutil
 from dataclasses import replace
@@ -10,10 +11,11 @@ import pytest
 from markupsafe import escape
 
 from rigs.files import results as made
-from rigs.files.reports import payload_result, saved
+from rigs.files.reports import payload_result, saved, traces
 from robot_sysid.errors import InputError
 from robot_sysid.records.messages import printable
 from robot_sysid.report.drawing import COLOURS
+from robot_sysid.report.figures import drawn_errors, error_bars
 from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.verdicts import Verdict
@@ -90,12 +92,45 @@ def test_every_part_is_there_and_every_figure_has_a_caption_and_a_unit(text):
         assert not set(COLOURS.values()) & set(re.findall(r"#\w{6}", figure))
 
 
-def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(text):
+def test_the_first_screen_is_verdict_all_joints_and_their_errors_the_rest_is_folded(
+    text,
+):
     first_screen, *folds = text.partition("<main>")[2].split('<details class="fold"')
-    assert first_screen.count("<figure") == 1
+    panels = re.findall(r"<figcaption>(.*?)</figcaption>", first_screen)
+    assert panels == ["j5: torque [N·m]", "j6: torque [N]"]
     # The torque error is stated once, by the sentence of the console.
     assert len(re.findall("27\u00a0%\u00a0→\u00a00.25\u00a0%", first_screen)) == 1
     assert len(folds) >= 6 and not any(fold.startswith(" open") for fold in folds)
+
+
+def test_bars_have_the_errors_of_the_file_and_one_scale(link_run, tmp_path):
+    content = json.loads((link_run / "params.json").read_text())
+    file = content["file"]
+    for key, errors in (
+        ("before_as_used", {"j5": 0.4, "j6": 0.1, "j7": None}),
+        ("after_as_used", {"j5": 0.02, "j6": 0.2, "j7": None}),
+    ):
+        file[key]["relative_error_per_joint"] = errors
+    text = page_with(link_run, tmp_path, file=file)
+    assert re.findall(r'<i class="(\w+)" style="width:([\d.]+)%"></i>', text) == [
+        ("before", "100.0"),
+        ("after", "5.0"),
+        ("before", "25.0"),
+        ("after", "50.0"),
+    ]
+    rows = re.findall(r"<tr><td>(j\d)</td>.*?<td>([^<]*)</td></tr>", text, re.DOTALL)
+    spaces = [(joint, said.replace("\u00a0", " ")) for joint, said in rows]
+    assert spaces[:3] == [("j5", "40 % → 2 %"), ("j6", "10 % → 20 %"), ("j7", "–")]
+
+
+def test_without_a_file_the_bars_have_the_errors_of_the_torques_that_are_drawn():
+    """Those of the made-up traces are predicted as they are before, and 0.9 times after."""
+    errors = drawn_errors(traces())
+    for before, after in errors.values():
+        assert before == pytest.approx(0.0) and after == pytest.approx(0.1)
+    assert [bars.scale for bars in error_bars(errors)] == pytest.approx([0.1, 0.1])
+    (still,) = error_bars({"j5": (math.nan, math.nan)})
+    assert still.scale == 1.0
 
 
 @pytest.fixture(autouse=True)

@@ -77,3 +77,9 @@ def test_a_damaged_result_or_one_of_another_version_is_refused(tmp_path, text, m
         (tmp_path / "params.json").write_text(text)
     with pytest.raises(InputError, match=message):
         load_run(tmp_path)
+
+
+def test_of_servos_the_file_with_all_numbers_is_named(tmp_path):
+    (tmp_path / "servo.json").write_text("{}")
+    with pytest.raises(InputError, match="no page about servos; .*servo.json has all"):
+        load_run(tmp_path)
