@@ -37,7 +37,7 @@ MOST_LOST = 0.2
 FASTEST_SHARE = 0.99
 """Share of the squared speed below the highest frequency at which the arm moves."""
 HIGHEST_RATIO = 15.0
-"""Largest ratio of cut-off to that frequency that is of use: docs/identify.md,
+"""Largest ratio of cut-off to that frequency that is of use: docs/evidence.md,
 tests/signals/test_cutoff.py."""
 LOWEST_RATIO = 4.0
 """Smallest ratio: below it, links that move fast are told from friction no more. One that was 40 %
@@ -52,7 +52,7 @@ FLAT = 1.25
 """Ratio to the least error up to which errors count as equal: around its minimum it is flat."""
 BEST_SHARE = 0.6
 """Share of the highest cut-off with a small error at which other data are predicted best: torques
-hold more that is not motion the higher the frequency (docs/identify.md)."""
+hold more that is not motion the higher the frequency (docs/evidence.md)."""
 NOISE_BAND = 0.25, 0.475
 """Frequencies over the sample rate that count as noise alone: from half of the Nyquist frequency to
 just below it."""
