@@ -19,7 +19,7 @@ from robot_sysid.logs import FittedLogOptions, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import SERVOS, AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.records import file_access, option_fields
-from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS
+from robot_sysid.records.controllers import ALL, AUTO, CHOICES, DRIVERS, SIMULATORS
 from robot_sysid.records.option_fields import (
     SCALE,
     Option,
@@ -329,12 +329,13 @@ class LogConfig(Config):
 
 @dataclass(frozen=True)
 class CardOptions(OptionRecord):
-    """For which simulators the identified arm is written beside the model."""
+    """For which software the identified arm is written beside the model."""
 
     cards: Optional[str] = option(
         None,
-        "also write the numbers of the model as a Python file for this simulator, or for all",
-        choices=(ALL, *SIMULATORS),
+        "also write the numbers of the model as a file for this simulator, for all of them, or for "
+        "the software of this arm",
+        choices=(ALL, *SIMULATORS, *DRIVERS),
         default_text="none",
     )
 

@@ -19,16 +19,11 @@ from robot_sysid.mjcf.urdf import base_link
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel, file_access
-from robot_sysid.records.controllers import ALL
+from robot_sysid.records.controllers import ALL, SIMULATORS
 from robot_sysid.records.messages import Detail, Level, NextStep, Progress, says
-from robot_sysid.records.option_fields import write_torque_scale
+from robot_sysid.records.option_fields import SCALE, joint_factors, write_torque_scale
 from robot_sysid.records.quantities import CURVED
-from robot_sysid.results.cards import (
-    LogResult,
-    card_text,
-    number_groups,
-    simulator_card,
-)
+from robot_sysid.results.cards import LogResult, arm_card, card_text, number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, folder_line, last_lines, more_lines
 from robot_sysid.results.record import Identification, ModelTarget
@@ -127,9 +122,7 @@ def save(
                 card = number_groups(payload)
                 text = card_text(payload, card, result.robot, options.cards)
                 files.write(written[-1], text)
-            written += write_simulator_cards(
-                config, result.robot, files, written, result
-            )
+            written += write_arm_cards(config, result.robot, files, written, result)
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
             written += motor_paths
@@ -218,7 +211,7 @@ def _write_curved(
     return [path], []
 
 
-def write_simulator_cards(
+def write_arm_cards(
     config: Config,
     robot: RobotModel,
     files: file_access.AtomicFiles,
@@ -228,7 +221,7 @@ def write_simulator_cards(
     """Write the cards that the options ask for, of the first written model; return their paths.
 
     Args:
-        config: names the simulators, if any.
+        config: names the simulators or the arm's software, if any, and torque scales of the logs.
         robot: the arm as in the original model.
         files: holds the draft of the model.
         written: paths of the written files; without a model there is no card.
@@ -245,13 +238,14 @@ def write_simulator_cards(
     curved_name = curved.name if curved else ""
     base = base_link(read_document(files.draft_of(model)))
     paths = []
-    for simulator, name in file_access.SIMULATOR_CARD_NAMES.items():
-        if config.cards.cards in (simulator, ALL):
-            paths.append(model.with_name(name))
-            text = simulator_card(
-                simulator, robot, arm, model.name, curved_name, result, base
-            )
-            files.write(paths[-1], text)
+    scale, _ = joint_factors(config.log.torque_scale, names, SCALE)
+    asked = config.cards.cards
+    for software in [*SIMULATORS] if asked == ALL else [asked]:
+        paths.append(model.with_name(file_access.ARM_CARD_NAMES[software]))
+        text = arm_card(
+            software, robot, arm, model.name, curved_name, result, base, scale
+        )
+        files.write(paths[-1], text)
     return paths
 
 

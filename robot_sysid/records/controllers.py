@@ -40,6 +40,13 @@ SIMULATORS: Mapping[str, str] = {
 }
 """Key of a library that simulates or computes arms to its name: each has a card of an arm, the
 template of that key in ``results/card_templates``."""
+DRIVERS: Mapping[str, tuple[str, str]] = {
+    "i2rt": ("i2rt (YAM)", "i2rt_card.yml"),
+    "openarm": ("openarm_teleop", "openarm_card.yaml"),
+    "axol": ("the Axol SDK", "axol_card.py"),
+}
+"""Key of an arm's own software to its name and the name of the file with what it reads of an
+identified arm: each has a template of that key in ``results/card_templates``."""
 
 
 def makers_of(robot: RobotModel) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from robot_sysid.errors import InputError, delay_signals, error_text
-from robot_sysid.records.controllers import SIMULATORS
+from robot_sysid.records.controllers import DRIVERS, SIMULATORS
 from robot_sysid.records.drafts import new_draft, remove_leftovers
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
@@ -45,6 +45,12 @@ CARD_NAME = "payload_card.txt"
 """Name of the file with a payload in the form of each controller."""
 SIMULATOR_CARD_NAMES = {key: f"{key}_card.py" for key in SIMULATORS}
 """Key of a simulator to the name of the file with an arm in its form."""
+ARM_CARD_NAMES = {
+    **SIMULATOR_CARD_NAMES,
+    **{key: file_name for key, (_, file_name) in DRIVERS.items()},
+}
+"""Key of a simulator, or of an arm's own software, to the name of the file with an arm in its
+form."""
 SERVO_NAME = "servo.json"
 """Name of the file with all numbers identified for an arm without torque measurement."""
 RUN_NAME = "run.toml"
@@ -55,7 +61,7 @@ RESULT_NAMES = (
     *MODEL_NAMES.values(),
     CURVED_NAME,
     CARD_NAME,
-    *SIMULATOR_CARD_NAMES.values(),
+    *ARM_CARD_NAMES.values(),
 )
 """Names of files that any run may write to its output folder."""
 # Bytes of a file that are in memory at once while it is hashed.

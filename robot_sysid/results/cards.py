@@ -81,6 +81,12 @@ SERVO_NUMBERS = (
     "loop_lag",
 )
 """Numbers of a joint behind a servo in a card."""
+FRICTION_SHARE = 0.8
+"""Share of the identified friction that is written for an arm's driver: one that compensates more
+than there is, as after a joint has warmed up, makes it run away."""
+STEEPNESS = 100.0
+"""How steep the step of dry friction at rest is, where a driver wants a number [s/rad]: it rises
+within 0.01 rad/s, as in motions for Damiao motors. No log of a moving arm tells it."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
 
@@ -153,19 +159,20 @@ def card_text(
     return "\n".join(texts)
 
 
-def simulator_card(
-    simulator: str,
+def arm_card(
+    software: str,
     robot: RobotModel,
     written: RobotModel,
     model_name: str,
     curved: str = "",
     result: LogResult | None = None,
     base: str = "",
+    scale: Array | None = None,
 ) -> str:
-    """Return the numbers of a written model as Python text that a simulator loads.
+    """Return the numbers of a written model as text that a simulator or an arm's software reads.
 
     Args:
-        simulator: of ``controllers.SIMULATORS``.
+        software: of ``controllers.SIMULATORS`` or ``controllers.DRIVERS``.
         robot: the arm as in the original model.
         written: the same arm as in the written model.
         model_name: name of the file of the written model.
@@ -173,6 +180,8 @@ def simulator_card(
         result: of the logs, which says how fast joints were, what friction grows with load, what
             each inertia comes from and what servos do; None where there is none that knows it.
         base: name of the first link of a URDF, which some readers leave free in the air; "" else.
+        scale: (n,) how many times too large the torque of each joint reads in the logs, as in
+            what its driver commands; None for 1.
     """
     rows = tuple(result.quantities) if result else ()
     not_shown = _links_without_inertia(rows)
@@ -180,7 +189,8 @@ def simulator_card(
     bodies = {}
     merged = {}
     sources = {}
-    for link in written.links:
+    links = {}
+    for joint, link in zip(written.joint_names, written.links):
         # What hangs on joints of its own, such as fingers, is not identified.
         parts = [
             body
@@ -197,6 +207,8 @@ def simulator_card(
         if len(parts) > 1:
             others = [body.name for body in parts[1:]]
             merged[parts[0].name] = others, _exact_numbers(sum_theta(parts))
+        if parts:
+            links[joint] = _exact_numbers(sum_theta(parts))
     traces = result.traces(every_sample=False) if result and result.traces else None
     friction = straight_friction(written, traces)
     actuators = chain_actuators(written)
@@ -220,8 +232,14 @@ def simulator_card(
             "friction_viscous": _exact(of_joint.viscous),
             "load_friction_motor": _exact(of_joint.load),
         }
-    return _template(simulator).render(
-        simulator=SIMULATORS[simulator],
+    scales = np.ones(written.n_joints) if scale is None else scale
+    return _template(software).render(
+        simulator=SIMULATORS.get(software),
+        links=links,
+        scales=dict(zip(written.joint_names, map(_exact, scales.tolist()))),
+        driver_friction=_driver_friction(joints, scales),
+        friction_share=FRICTION_SHARE,
+        steepness=STEEPNESS,
         model=robot.path.name,
         file=model_name,
         base=base,
@@ -238,6 +256,24 @@ def simulator_card(
         has_shared_motors=bool(shared_motors(written.mj_model, written.dof_index)),
         has_nameless=any(name.startswith("#") for name in (*bodies, *joints)),
     )
+
+
+def _driver_friction(
+    joints: Mapping[str, Mapping[str, float | None]], scales: Array
+) -> dict[str, list[float]]:
+    """Return "coulomb" and "viscous" friction per joint, as a driver compensates it.
+
+    It is ``FRICTION_SHARE`` of the identified friction [N m, N m s/rad], in the unit of what the
+    driver commands, which reads ``scales`` (n,) times too large.
+    """
+    columns = {"coulomb": "frictionloss", "viscous": "damping"}
+    friction = {}
+    for name, key in columns.items():
+        identified = np.array([joint[key] or 0.0 for joint in joints.values()])
+        friction[name] = round_to_errors(
+            FRICTION_SHARE * scales * identified, np.full(len(scales), np.inf), 2
+        )
+    return friction
 
 
 def _has_servos(rows: Sequence[Quantity]) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from robot_sysid.expected.recording import Prediction
 from robot_sysid.expected.unrecorded_arm import ExpectedFile
 from robot_sysid.records import ITSELF
-from robot_sysid.records.controllers import SIMULATORS
+from robot_sysid.records.controllers import DRIVERS, SIMULATORS
 from robot_sysid.records.file_access import (
     CARD_NAME,
     SIMULATOR_CARD_NAMES,
@@ -354,8 +354,9 @@ def file_lines(content: Content, files: Sequence[Path]) -> Iterator[str]:
 
 
 def card_lines(files: Iterable[Path]) -> list[str]:
-    """Return a line for each card of a simulator among written files."""
+    """Return a line for each card of a simulator, or of an arm's software, among written files."""
     names = {SIMULATOR_CARD_NAMES[key]: name for key, name in SIMULATORS.items()}
+    names |= {file_name: name for name, file_name in DRIVERS.values()}
     return [f"For {names[path.name]}: {path}" for path in files if path.name in names]
 
 

@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.dynamics.friction import stated_tops
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.export import (
-    Written,
-    remove_earlier,
-    writable_folder,
-    write_simulator_cards,
-)
+from robot_sysid.export import Written, remove_earlier, writable_folder, write_arm_cards
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import (
     open_logs,
@@ -134,7 +129,7 @@ def write_servos(
                 target = ModelTarget(files, model, poses, config.model.mesh_dir)
                 write_joints(robot, tuple(result.changes()), target)
                 written.append(model)
-                written += write_simulator_cards(config, robot, files, written, result)
+                written += write_arm_cards(config, robot, files, written, result)
         except ExportError as error:
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"

@@ -21,6 +21,7 @@ from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com
 from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.compilation import compile_model, mjcf_of, restore_exact_inertias
+from robot_sysid.parser import load_robot_model
 
 BODY = "<body name='b'><joint/>{}</body>"
 MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>
@@ -211,3 +212,52 @@ def test_an_mjcf_of_a_urdf_has_its_links_however_flat(tmp_path_factory, seed):
         assert_allclose(
             body_theta(copied, body) / largest, theta / largest, rtol=0, atol=1e-14
         )
+
+
+TURNS = ((0.0, 0.0, 0.0), (0.5, -0.3, 0.8))
+
+
+@pytest.mark.parametrize("of_joint", TURNS)
+@pytest.mark.parametrize("of_inertial", TURNS)
+def test_turned_inertials_and_links_on_fixed_joints_are_read_in_any_mujoco(
+    tmp_path, of_inertial, of_joint
+):
+    """MuJoCo 3.1.3 to 3.13 leave the rotation of an inertial out, 3.3.3 to 3.10 that of a joint."""
+    arm = np.array([[0.02, 0.003, -0.002], [0.003, 0.03, 0.004], [-0.002, 0.004, 0.04]])
+    hand = np.diag([0.004, 0.006, 0.003])
+    centre = np.array([0.1, 0.02, -0.03])
+    centre_of_hand = np.array([0.02, 0.03, 0.05])
+    place = np.array([0.05, 0.0, 0.2])
+
+    def link(name, mass, at, inertia):
+        xx, xy, xz, yy, yz, zz = inertia[np.triu_indices(3)]
+        return (
+            f'<link name="{name}"><inertial><mass value="{mass}"/>'
+            f'<origin xyz="{" ".join(map(str, at))}" '
+            f'rpy="{" ".join(map(str, of_inertial))}"/><inertia ixx="{xx}" ixy="{xy}" '
+            f'ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/></inertial></link>'
+        )
+
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        f'<robot name="r"><link name="base"/>{link("arm", 2.0, centre, arm)}'
+        f"{link('hand', 0.7, centre_of_hand, hand)}"
+        '<joint name="j" type="revolute"><parent link="base"/><child link="arm"/>'
+        '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="9" velocity="2"/></joint>'
+        '<joint name="f" type="fixed"><parent link="arm"/><child link="hand"/>'
+        f'<origin xyz="{" ".join(map(str, place))}" '
+        f'rpy="{" ".join(map(str, of_joint))}"/></joint></robot>'
+    )
+
+    def turn(roll, pitch, yaw):
+        return Rotation.from_euler("xyz", (roll, pitch, yaw)).as_matrix()
+
+    def theta(mass, at, inertia, rotation):
+        return spatial.theta_from_com(mass, at, rotation @ inertia @ rotation.T)
+
+    turned = turn(*of_joint)
+    expected = theta(2.0, centre, arm, turn(*of_inertial)) + theta(
+        0.7, place + turned @ centre_of_hand, hand, turned @ turn(*of_inertial)
+    )
+    (found,) = load_robot_model(path).thetas
+    assert np.allclose(found, expected, rtol=1e-9, atol=1e-12)

@@ -26,7 +26,7 @@ from robot_sysid.export import save
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Traces
-from robot_sysid.records.controllers import ALL, AUTO, CHOICES, SIMULATORS
+from robot_sysid.records.controllers import ALL, AUTO, CHOICES, DRIVERS, SIMULATORS
 from robot_sysid.records.file_access import SIMULATOR_CARD_NAMES
 from robot_sysid.records.quantities import DATA, MODEL, Quantity
 from robot_sysid.results import cards
@@ -126,7 +126,7 @@ def theta_of(numbers):
 
 def test_each_template_has_its_row_and_each_row_its_template():
     names = {path.stem for path in cards.TEMPLATES.iterdir()}
-    assert names == {"plain", "arm", *CHOICES, *SIMULATORS} - {AUTO, ALL}
+    assert names == {"plain", "arm", *CHOICES, *SIMULATORS, *DRIVERS} - {AUTO, ALL}
 
 
 @TARGETS
@@ -175,7 +175,7 @@ def test_an_inertia_that_the_logs_do_not_show_is_marked(robot, output):
         Quantity("Ixx_about_com", "hand", "kg·m²", None, 0.03, 0.02, DATA),
     ]
     result = result_of(written, quantities=tuple(rows))
-    text = cards.simulator_card("drake", robot, written, "m.xml", result=result)
+    text = cards.arm_card("drake", robot, written, "m.xml", result=result)
     marked = [line for line in text.splitlines() if line.endswith(cards.NOT_SHOWN)]
     assert [line.split("'")[1] for line in marked] == ["hand"]
 
@@ -197,7 +197,7 @@ def test_an_unknown_simulator_is_refused_with_the_choices(robot):
 def test_a_body_without_a_name_is_pointed_out(tmp_path):
     path = write_files(tmp_path, {"arm.xml": ARM.replace(' name="fore"', "")})
     arm = load_robot_model(path)
-    text = cards.simulator_card("drake", arm, arm, "updated_model.xml")
+    text = cards.arm_card("drake", arm, arm, "updated_model.xml")
     assert "'#3': {" in text and "stands for a body or joint without" in text
 
 
@@ -328,7 +328,7 @@ def test_damping_that_is_a_polynomial_is_a_line_in_a_card_which_says_so(tmp_path
     qd = rng.normal(size=(300, 3))
     qd[:, 1] = rng.uniform(-1.5, 1.5, 300)
     log = made_traces(arm, qd)
-    text = cards.simulator_card(
+    text = cards.arm_card(
         "drake", arm, arm, "updated_model.xml", result=result_of(arm, traces=log)
     )
     (line,) = [line for line in text.splitlines() if line.startswith("#   '2nd': ")]
@@ -381,7 +381,7 @@ def test_friction_of_a_load_is_in_the_card_of_bam_alone(robot, output):
     rows += [Quantity("further_load", "lift", "", 0.0, 0.02, 0.015, "data")]
     arm = load_robot_model(output / "updated_model.xml")
     result = result_of(arm, traces=made_traces(arm, qd, load), quantities=tuple(rows))
-    text = cards.simulator_card("bam", robot, arm, "updated_model.xml", result=result)
+    text = cards.arm_card("bam", robot, arm, "updated_model.xml", result=result)
     card = {}
     exec(text, card)
     assert [card["friction"](name)["model"] for name in JOINTS] == ["m1", "m5", "m1"]
