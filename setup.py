@@ -19,6 +19,7 @@ setup(
     package_dir={"": "."} if IS_EDITABLE else {EXAMPLE: "examples/kinova"},
     include_package_data=False,
     package_data={
+        "robot_sysid.api": ["*.pyi"],
         "robot_sysid.damiao": ["motors.csv"],
         "robot_sysid": ["py.typed", "*.pyi", "schemas/*.json"],
         "robot_sysid.report": ["*.html"],

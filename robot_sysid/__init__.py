@@ -6,7 +6,7 @@ names are loaded when they are first used, so that the import itself takes no ti
 
 from importlib import import_module as _import_module
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 # Module to the public names that it defines: functions, the types that they take and return, and
 # errors. Typed in ``__init__.pyi``.
 _NAMES = {

@@ -1,4 +1,4 @@
-"""AGENTS.md tells coding agents the truth: its commands run, and end with the codes it lists."""
+"""AGENTS.md and the skill tell coding agents the truth: their commands run, and end as they say."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import re
 import pytest
 
 from rigs.files.command_line import COMMANDS
-from rigs.files.pages import command_lines
+from rigs.files.pages import blocks, command_lines, commands
 from rigs.files.places import ROOT
 from robot_sysid.cli import main
 from robot_sysid.errors import EXIT_CODES
 
+SKILL = ROOT / "skills" / "robot-sysid" / "SKILL.md"
 PAGE = (ROOT / "AGENTS.md").read_text(encoding="utf-8")
 FIVE = command_lines(re.search(r"<!-- commands -->\n```bash\n(.*?)```", PAGE, re.S)[1])
 ROWS = re.findall(r"^\| (\d+) \|.*\| (?:`(robot-sysid .*)`)? ?\|$", PAGE, re.M)
@@ -39,6 +40,29 @@ def test_the_commands_end_as_the_page_says(tmp_path, monkeypatch, capsys):
             json.loads(printed)
     for code, words in EXAMPLES.items():
         assert main(words[1:]) == code, words
+
+
+def test_the_skill_is_one():
+    """Agents choose a skill by its front matter, and read all of it."""
+    text = SKILL.read_text(encoding="utf-8")
+    _, front, body = text.split("---\n", 2)
+    assert front.startswith("name: robot-sysid\ndescription: ")
+    assert len(front) < 1000 and len(text.splitlines()) < 120
+    listed = re.findall(r"^\| (\d+) \|", body, re.M)
+    assert [int(code) for code in listed] == list(EXIT_CODES)
+    assert all(len(line) <= 140 or "robot-sysid" in line for line in body.splitlines())
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_skill_end_as_it_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    lines = [line for _, block in blocks(SKILL) for line in commands(block)]
+    assert len(lines) == 6
+    for words, code in lines:
+        assert main(words[1:]) == code, words
+        printed = capsys.readouterr().out
+        if "--json" in words:
+            json.loads(printed)
 
 
 @pytest.mark.slow

@@ -30,7 +30,12 @@ def read(path: str | Path) -> str:
 README = read("README.md")
 DOCS = {page.name for page in ROOT.glob("docs/*.md")}
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")]
+    [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/**/*.md"),
+        *ROOT.glob("examples/**/*.md"),
+        *ROOT.glob("skills/**/*.md"),
+    ]
 )
 SECTIONS = set(
     """Overview

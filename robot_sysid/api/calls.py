@@ -49,6 +49,17 @@ from robot_sysid.records.option_fields import given_values, options_of_all, reco
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+    from typing_extensions import Unpack
+
+    from robot_sysid.api.keyword_types import (
+        CheckKeywords,
+        IdentifyKeywords,
+        PayloadKeywords,
+        PlanKeywords,
+        ReadLogKeywords,
+        RegressorKeywords,
+        SelfTestKeywords,
+    )
 
 
 Model = Union[str, "os.PathLike[str]", InMemory]
@@ -209,7 +220,9 @@ def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Res
 
 @with_keywords(options_of_all(LogOptions))
 def read_log(
-    log: Log | Sequence[Log], model: Model | RobotModel, **options: Any
+    log: Log | Sequence[Log],
+    model: Model | RobotModel,
+    **options: Unpack[ReadLogKeywords],
 ) -> Recording:
     """Recognise, check and read a log of an arm.
 
@@ -237,7 +250,7 @@ def identify(
     log: Log | Sequence[Log],
     *,
     validation_measurements: Log | Sequence[Log] | None = None,
-    **options: Any,
+    **options: Unpack[IdentifyKeywords],
 ) -> Result:
     """Identify an arm: its terminal link, every other link, and its joints' friction.
 
@@ -265,7 +278,7 @@ def identify(
 
 
 @with_options_of(SelfTestConfig)
-def self_test(model: Model, **options: Any) -> Result:
+def self_test(model: Model, **options: Unpack[SelfTestKeywords]) -> Result:
     """Identify an arm from a simulation of its model, or of another model that plays the arm.
 
     Args:
@@ -279,7 +292,7 @@ def self_test(model: Model, **options: Any) -> Result:
 
 
 @with_options_of(PlanConfig)
-def plan(model: Model, **options: Any) -> PlanResult:
+def plan(model: Model, **options: Unpack[PlanKeywords]) -> PlanResult:
     """Design a trajectory, or check one that was saved, and predict an identification from it.
 
     Args:
@@ -305,7 +318,7 @@ def payload(
     model: Model,
     empty: Log | Sequence[Log],
     loaded: Log | Sequence[Log],
-    **options: Any,
+    **options: Unpack[PayloadKeywords],
 ) -> Result:
     """Identify a payload from the difference between recordings without and with it.
 
@@ -331,7 +344,7 @@ def check(
     log: Log | Sequence[Log],
     since: Log | Sequence[Log] = (),
     same_day: bool = False,
-    **options: Any,
+    **options: Unpack[CheckKeywords],
 ) -> Check:
     """Tell whether an arm is what it was, or what its model says: load, friction, zeros, sensors.
 
@@ -385,7 +398,11 @@ class Regressor:
 
 @with_keywords(options_of_all(ModelOptions))
 def joint_torque_regressor(
-    model: Model, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, **options: Any
+    model: Model,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    **options: Unpack[RegressorKeywords],
 ) -> Regressor:
     """Return the regressor Y of all parameters of an arm, and the torque tau of its model.
 

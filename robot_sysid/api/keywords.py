@@ -14,7 +14,12 @@ from collections.abc import Callable, Iterable
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from robot_sysid.records.option_fields import Option, refuse_unknown, value_text
+from robot_sysid.records.option_fields import (
+    Option,
+    refuse_unknown,
+    value_annotation,
+    value_text,
+)
 from robot_sysid.wording import in_python, with_option_names
 
 if TYPE_CHECKING:
@@ -43,7 +48,10 @@ def with_keywords(options: Iterable[Option]) -> Callable[[Function], Function]:
             if option.is_argument or option.key in parameters:
                 continue
             parameters[option.key] = inspect.Parameter(
-                option.key, inspect.Parameter.KEYWORD_ONLY, default=option.default
+                option.key,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=option.default,
+                annotation=value_annotation(option),
             )
             helps.append(_keyword_help(option))
 

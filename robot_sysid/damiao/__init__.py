@@ -35,7 +35,10 @@ from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.option_fields import given_values
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from robot_sysid.api.calls import Model
+    from robot_sysid.api.keyword_types import PlayKeywords
     from robot_sysid.api.results import PlanResult
     from robot_sysid.config import MotorOptions
     from robot_sysid.pipeline.motors import MotionChunk
@@ -85,7 +88,7 @@ def play(
     joint_map: Path | str | None = None,
     simulate: bool = False,
     say: Say = lambda sentence: None,
-    **options: Any,
+    **options: Unpack[PlayKeywords],
 ) -> PlayReport:
     """Play a trajectory on Damiao motors, with all checks of ``robot-sysid motors play``.
 

@@ -376,8 +376,8 @@ class Plan:
         # The transfer keeps the limits, too.
         stated = filter(None, (self.user_limits, self.model_limits))
         tightest = Limits.of(Limits(), *stated)
-        speed = min(settings.approach_speed, np.min(tightest.velocity))
-        time = PEAK_ACCELERATION * speed / np.min(tightest.acceleration)
+        speed = min(settings.approach_speed, float(np.min(tightest.velocity)))
+        time = PEAK_ACCELERATION * speed / float(np.min(tightest.acceleration))
         settings = replace(
             settings,
             approach_speed=speed,

@@ -49,7 +49,7 @@ class VisibleSpace:
     singular: Array
     right: Array
     null: Array
-    zero: np.ndarray
+    zero: NDArray[np.bool_]
 
     @property
     def rank(self) -> int:
@@ -142,7 +142,8 @@ def fit_quality(
     visible = np.where(space.zero, 0.0, matrix)
     # Rank of the nuisances alone, counted by the same cut as that of all columns.
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
-    nuisance_rank = _count_visible(singular, np.max(space.singular, initial=0.0))
+    largest = float(np.max(space.singular, initial=0.0))
+    nuisance_rank = _count_visible(singular, largest)
     # The largest singular value over the r-th, r the rank; infinite where the rank is zero.
     of_interest = visible[:, interest]
     sizes = np.linalg.svd(of_interest, compute_uv=False)

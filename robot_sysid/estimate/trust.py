@@ -281,7 +281,7 @@ def _noise_rows(
     time = recording.motion.time[::every]
     # Each instant stands for rows of the joint around it.
     counts = np.sum(is_used, axis=0) / np.maximum(np.sum(chosen, axis=0), 1)
-    weights = np.ravel(fitted.weights * np.sqrt(counts) * chosen)
+    weights: Array = np.ravel(fitted.weights * np.sqrt(counts) * chosen)
     still = np.zeros_like(q)
     for joint, deviation in enumerate(recording.acceleration_noise):
         accelerations = still.copy()

@@ -84,7 +84,7 @@ class LogKnowledge:
     def after(self, further: Array | float = 0.0) -> Knowledge:
         """Return what is known after the products (p, p) of ``further`` rows are added."""
         # What the jackknife raises is the error of data, not of what nothing is known of.
-        raised = self.raised[:, None] * self.raised
+        raised: Array = self.raised[:, None] * self.raised
         normal = with_zero_torque(
             (self.precision + further) / raised + np.diag(self.wide)
         )

@@ -200,7 +200,7 @@ class UnrecordedArm:
         before = expected(model, of_model, sums)
         after = expected(model, of_file, sums)
         least = expected(model, self._file_knowledge(fitted, little), sums)
-        torque = np.sum(before.torque) + np.sum(before.of_joints)
+        torque = float(np.sum(before.torque) + np.sum(before.of_joints))
         friction = [name for term in terms if _is_friction(term) for name in term.names]
         is_friction = np.isin(sums.names, friction)
         stated = {name: model.get(name, 0.0) for name in friction}
@@ -215,7 +215,7 @@ class UnrecordedArm:
             speed_unit=unit,
             before=_root_share(before.of_joints, torque),
             after=_root_share(after.of_joints, torque),
-            friction=_root_share(error.of_joints, np.sum(whole.of_joints))
+            friction=_root_share(error.of_joints, float(np.sum(whole.of_joints)))
             if friction
             else None,
             least=_root_share(least.of_joints, torque),

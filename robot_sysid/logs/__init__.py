@@ -100,7 +100,10 @@ class FittedLogOptions(LogOptions):
         "SETTING",
         parse=parse_servo_setting,
         kind=ValueKind(
-            parse_servo_setting, (ServoSetting,), f"a text such as '{FORM}'"
+            parse_servo_setting,
+            (ServoSetting,),
+            f"a text such as '{FORM}'",
+            "str | ServoSetting",
         ),
         repeats=True,
         default_text="what the file says",

@@ -131,12 +131,14 @@ class ValueKind:
         parse: turns a text into a value; None for a switch, whose flag is all.
         types: of a value; of its elements where it is a tuple.
         text: what a value is, for messages.
+        annotation: the type of a value in Python, for type checkers.
         per_joint: whether a value may be a tuple with a number per joint.
     """
 
     parse: Callable[[str], Any] | None
     types: tuple[type, ...]
     text: str
+    annotation: str
     per_joint: bool = False
 
 
@@ -168,7 +170,12 @@ class Option:
     metavar: str | tuple[str, ...] | None = None
     choices: tuple[str, ...] = ()
     parse: Callable[[str], Any] | None = None
-    kind: ValueKind = ValueKind(None, (object,), "a file, or a mapping of numbers")
+    kind: ValueKind = ValueKind(
+        None,
+        (object,),
+        "a file, or a mapping of numbers",
+        "FilePath | Mapping[str, float | Numbers] | Priors",
+    )
     check: Check | None = None
     default_text: str = ""
     repeats: bool = False
@@ -677,23 +684,33 @@ def parse_whole_number(text: str) -> int:
 
 _KINDS: Mapping[Any, ValueKind] = {
     PerJoint: ValueKind(
-        parse_numbers, (Real,), "a number, or one per joint", per_joint=True
+        parse_numbers,
+        (Real,),
+        "a number, or one per joint",
+        "float | Numbers",
+        per_joint=True,
     ),
     Factors: ValueKind(
         parse_factors,
         (Real, os.PathLike, RoughFactors),
         "a number, a file, or one per joint",
+        "float | Numbers | FilePath | RoughFactors",
         per_joint=True,
     ),
-    Factor: ValueKind(parse_factor, (Real, RoughFactors), "a number"),
-    Columns: ValueKind(
-        parse_columns, (str, os.PathLike), "a file, or a line such as 'position = q[*]'"
+    Factor: ValueKind(
+        parse_factor, (Real, RoughFactors), "a number", "float | str | RoughFactors"
     ),
-    float: ValueKind(float, (Real,), "a number"),
-    int: ValueKind(parse_whole_number, (Integral,), "a whole number"),
-    str: ValueKind(str, (str,), "a text"),
-    Path: ValueKind(Path, (os.PathLike,), "a path"),
-    bool: ValueKind(None, (bool,), "True or False"),
+    Columns: ValueKind(
+        parse_columns,
+        (str, os.PathLike),
+        "a file, or a line such as 'position = q[*]'",
+        "FilePath",
+    ),
+    float: ValueKind(float, (Real,), "a number", "float"),
+    int: ValueKind(parse_whole_number, (Integral,), "a whole number", "int"),
+    str: ValueKind(str, (str,), "a text", "str"),
+    Path: ValueKind(Path, (os.PathLike,), "a path", "FilePath"),
+    bool: ValueKind(None, (bool,), "True or False", "bool"),
 }
 """Type of one value of an option, as its field states it, to what it says of the values."""
 
@@ -709,6 +726,18 @@ def value_text(stated: Option) -> str:
     if stated.unit:
         text += f" [{stated.unit}]"
     return f"{text}, or a list of them" if stated.repeats or stated.takes_many else text
+
+
+def value_annotation(stated: Option) -> str:
+    """Return the type of an option's value in Python, with the names of ``api.keyword_types``."""
+    text = stated.kind.annotation
+    if stated.choices:
+        text = f"Literal{[*stated.choices]}"
+    elif isinstance(stated.metavar, tuple):
+        text = "Numbers"
+    if stated.repeats or stated.takes_many:
+        text += " | Numbers" if text == "float" else f" | Sequence[{text}]"
+    return f"{text} | None" if stated.default is None else text
 
 
 @dataclass(frozen=True)

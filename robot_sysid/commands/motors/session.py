@@ -180,7 +180,7 @@ def inspected_health(inspection: Inspection) -> list[str]:
         median, slowest = (
             (f"{1e3 * time:.2f}" for time in (np.median(came), np.max(came)))
             if came.size
-            else "??"
+            else ("?", "?")
         )
         counts = str(times.size), str(came.size)
         status = status_text(motor.feedback.status[0])

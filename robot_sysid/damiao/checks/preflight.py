@@ -355,7 +355,7 @@ def motor_checks(
     registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
-    missing = set(protocol.Register) - set(registers)
+    missing = {number for number in protocol.Register if number not in registers}
     if missing:
         names = ", ".join(number.name for number in sorted(missing))
         yield stop(f"{name} does not answer for {names}; try again")
