@@ -1,4 +1,4 @@
-"""The three pictures of the README, drawn by the tool itself from its example.
+"""Three pictures of the pages, drawn by the tool itself from its example.
 
     pip install -e ".[report]"
     python -m benchmarks.accuracy.gallery

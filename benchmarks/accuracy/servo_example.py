@@ -7,7 +7,8 @@ positions are logged at 30 Hz in steps of an encoder with 4096 a turn. ``identif
 and the command that it prints is typed once more of a second log, with the weight that it asks for.
 The servos have one kind of gears and five gains; links, damping, dry friction, rotors and torque
 limits are those of the file. MuJoCo then plays the log with the lines of Python that the page has.
-The advice is of BAM's recordings of an XL330. ``--write`` puts all of it into docs/servos.md.
+The advice is of BAM's recordings of an XL330. ``--write`` puts all of it
+into docs/servos.md and docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -37,11 +38,12 @@ from robot_sysid.servo.loop import rms
 from robot_sysid.servo.setting import loaded
 
 PAGE = ROOT / "docs" / "servos.md"
+EVIDENCE = ROOT / "docs" / "evidence.md"
 TABLES = (
     PageTable(PAGE, "servos", "python -m benchmarks.accuracy.servo_example"),
     PageTable(PAGE, "weight", "python -m benchmarks.accuracy.servo_example"),
-    PageTable(PAGE, "weighed", "python -m benchmarks.accuracy.servo_example"),
-    PageTable(PAGE, "played", "python -m benchmarks.accuracy.servo_example"),
+    PageTable(EVIDENCE, "weighed", "python -m benchmarks.accuracy.servo_example"),
+    PageTable(EVIDENCE, "played", "python -m benchmarks.accuracy.servo_example"),
     PageTable(PAGE, "advice", "python -m benchmarks.accuracy.servo_example"),
 )
 PLAN = f"plan {FILE.name} --for servos --max-torque 1.5 --seed 1 --output-dir planned"
@@ -144,7 +146,7 @@ def run() -> list[list[str]]:
         block(step),
         block(from_line("gain, N·m/rad", weighed, 1 + robot.n_joints)),
         [
-            "Played so from rest, in one go and with nothing but its commands, the SO-101 above "
+            "MuJoCo, which simulates it from rest, in one go and with nothing but its commands, "
             f"stays within {1e3 * played(goals):.2g} mrad rms of all {goals.time[-1]:.0f} s of its "
             "log."
         ],

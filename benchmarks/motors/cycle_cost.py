@@ -3,7 +3,7 @@
 Run from the checkout, nothing else running:
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.motors.cycle_cost
-    ... --write              # the table of docs/motors.md
+    ... --write              # the table of docs/evidence.md
     ... --seconds 20         # longer runs
 
 The bus is python-can's virtual one, and both its ends are in this process and thread. At the far
@@ -58,7 +58,7 @@ from robot_sysid.damiao.simulated import (
 from robot_sysid.records import RobotModel
 from robot_sysid.simulation.plant import ArmStepper
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "motors.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence.md"
 TABLE = PageTable(PAGE, "cost", "python -m benchmarks.motors.cycle_cost --write")
 FAST = 500.0
 SLOW = 250.0
@@ -228,7 +228,7 @@ def main() -> None:
     """Print the table, and write it into the page where that is asked for."""
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--seconds", type=float, default=8.0, help="of each motion")
-    options.add_argument("--write", action="store_true", help="write docs/motors.md")
+    options.add_argument("--write", action="store_true", help="write docs/evidence.md")
     arguments = options.parse_args()
     fast = SetUp(belief="truth", rate=FAST, duration=arguments.seconds)
     slow = replace(fast, rate=SLOW)

@@ -20,9 +20,12 @@ import time
 from pathlib import Path
 
 from rigs.files.page_tables import PageTable
+from rigs.files.places import ROOT
 from rigs.motors.first_day import ARMS, PAGE, Day, DayArm, page_commands
 
-TABLE = PageTable(PAGE, "first_day", "python -m benchmarks.motors.first_day")
+TABLE = PageTable(
+    ROOT / "docs" / "evidence.md", "first_day", "python -m benchmarks.motors.first_day"
+)
 PERSON = {
     "1": "an hour or two",
     "2": "15 min",
@@ -61,7 +64,7 @@ def step_times(arm: DayArm, folder: Path) -> dict[str, list[float]]:
 
 
 def table_lines(times_by_arm: dict[str, dict[str, list[float]]]) -> list[str]:
-    """Return the lines of the page's table."""
+    """Return the lines of the table."""
     arms = [f"computer, {name} [s]" for name in times_by_arm]
     rows = [["step", "a person", "the bus [s]", *arms], ["---"] * (3 + len(arms))]
     text = PAGE.read_text(encoding="utf-8")
@@ -79,7 +82,7 @@ def table_lines(times_by_arm: dict[str, dict[str, list[float]]]) -> list[str]:
 def main() -> None:
     """Run the day of each arm, and print or write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write the page's table")
+    parser.add_argument("--write", action="store_true", help="write docs/evidence.md")
     is_written = parser.parse_args().write
     times = {}
     for name, arm in ARMS.items():

@@ -36,7 +36,7 @@ from robot_sysid.servo.windows import ServoProblem
 from robot_sysid.simulation.playback import servos_in_model
 
 TABLE = PageTable(
-    ROOT / "docs" / "servos.md", "drawn", "python -m benchmarks.trust.drawn_servos"
+    ROOT / "docs" / "evidence.md", "drawn", "python -m benchmarks.trust.drawn_servos"
 )
 FILE = MODELS / "so101/so101_new_calib.xml"
 TIP = "wrist_roll"

@@ -165,7 +165,7 @@ def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(
 
 def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
     """Each line of the manual is found in a run, in its order."""
-    text = (ROOT / "docs" / "motors.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "motors_reference.md").read_text(encoding="utf-8")
     block = (
         text.partition("## The frames of a run")[2]
         .partition("```text\n")[2]
