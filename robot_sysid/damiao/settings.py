@@ -124,7 +124,7 @@ class PlaySettings(OptionRecord):
         default_text="250; 500 with {fd}; less where the bus is full",
     )
     speed: float = option(
-        1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor
+        1.0, "1 as exported, 0.3 slower", "FACTOR", check=check_speed_factor
     )
     max_tracking_error: Optional[float] = option(
         None,

@@ -21,7 +21,7 @@ class SimulatedArmOptions(OptionRecord):
     """
 
     plant_model: Optional[Path] = option(
-        None, "model that plays the real arm and makes the torques", "TRUTH.xml"
+        None, "model in place of the real arm, which makes the torques", "TRUTH.xml"
     )
     noise_torque: PerJoint = option(
         0.0,
