@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from robot_sysid import __version__
@@ -30,6 +31,7 @@ from robot_sysid.errors import (
     handle_stop_signals,
 )
 from robot_sysid.pipeline.motors import motors_required
+from robot_sysid.records.file_access import write_atomically
 from robot_sysid.records.option_fields import suggestion
 
 # MuJoCo 4 spreads its files over three packages. Where pip upgrades release 3 in place, it installs
@@ -103,17 +105,16 @@ def _with_named_arm(error: SysidError, values: Mapping[str, Any]) -> SysidError:
 def _with_columns_file(error: SysidError) -> SysidError:
     """Write the columns file that puts a log right, and return the error that says so.
 
-    A file that exists has the same text. Without the file no option remedies the error. Any other
-    error is returned as it is.
+    Without the file no option remedies the error. Any other error is returned as it is.
     """
     if not isinstance(error, ColumnsError):
         return error
+    path = Path(error.name)
     try:
-        with open(error.name, "x", encoding="utf-8") as file:
-            file.write(error.draft)
-    except FileExistsError:
-        pass
-    except OSError:
+        # A file that exists has this text, whoever wrote it.
+        if not path.exists():
+            write_atomically(path, error.draft)
+    except InputError:
         return InputError(str(error))
     text = f"{error.sentence}. {error.name} has the columns put right: read it, and go on with it:"
     return error.with_message(text, error.command_lines)

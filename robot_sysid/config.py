@@ -114,11 +114,16 @@ class Config:
         model: the model file.
         output: files to write.
         left_out: keys of options of its records that the command does not have.
+        result_names: names of files that its result may have.
     """
 
     model: ModelOptions = ModelOptions()
     output: OutputOptions = OutputOptions()
     left_out: ClassVar[tuple[str, ...]] = ("keyframe", "links", "torque_from")
+    result_names: ClassVar[tuple[str, ...]] = (
+        *file_access.RESULT_NAMES,
+        file_access.DATA_NAME,
+    )
 
     @classmethod
     def records(cls) -> dict[str, Any]:
@@ -167,7 +172,7 @@ class Config:
         for use in PathUse:
             for _, path in self._files(use):
                 file_access.require_utf8(path)
-        file_access.refuse_overwriting(self.input_files(), self._output_files())
+        file_access.refuse_overwriting(self.input_files(), self.written_files())
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
@@ -183,12 +188,42 @@ class Config:
                 leaves = option_fields.leaves(value) if stated.path_use is use else ()
                 yield from ((stated, leaf) for leaf in leaves if isinstance(leaf, Path))
 
-    def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (option that has a file written, path) of each file that might replace an input."""
-        for name in file_access.RESULT_NAMES:
-            yield "--output-dir", self.output.output_dir / name
+    def written_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (option that has a file written, path) of each file that the command may write.
+
+        Those of results are all there may be: which of them it will be, the run finds out.
+        """
+        yield from self.folder_files()
+        yield from self.named_files()
+        if self.output.report:
+            path = self.output.output_dir / file_access.REPORT_NAME
+            yield option_name("output_dir"), path
+        settings = self.settings_file
+        if settings is not None:
+            is_in_folder = settings.parent == self.output.output_dir
+            beside = f"the settings beside {option_name('save_trajectory')}"
+            yield option_name("output_dir") if is_in_folder else beside, settings
+
+    def folder_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (option, path) of each file that writing the result puts into its folder."""
+        for name in self.result_names:
+            yield option_name("output_dir"), self.output.output_dir / name
+
+    def named_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (option, path) of each file whose name an option states, and of those beside it."""
         for stated, path in self._files(PathUse.WRITES):
             yield stated.name, path
+
+    @property
+    def settings_file(self) -> Path | None:
+        """The file that repeats the run; None where it would replace that of its own --config."""
+        path = self._settings_path()
+        config = self.output.config
+        is_own = config is not None and path.resolve() == config.resolve()
+        return None if is_own else path
+
+    def _settings_path(self) -> Path:
+        return self.output.output_dir / file_access.RUN_NAME
 
 
 def _fixed_record(record: OptionRecord) -> Any:
@@ -243,8 +278,8 @@ class MotionConfig(Config):
         """Return whether the run draws a motion or noise, so that it needs a seed."""
         return self.trajectory.file is None
 
-    def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (option that has a file written, path) of each file that might replace an input."""
+    def named_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (option, path) of each file whose name an option states, and of those beside it."""
         path = self.plan_file
         if path is not None:
             yield (
@@ -252,14 +287,18 @@ class MotionConfig(Config):
                 path.with_suffix(".csv"),
             )
             if self.trajectory.save is None:
-                yield "--output-dir", path
+                yield option_name("output_dir"), path
         if path is not None and self.aim.purpose == SERVOS:
             yield option_name("for_", SERVOS), path.with_name(file_access.GOALS_NAME)
+        yield from super().named_files()
+
+    def folder_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (option, path) of each file that goes to the folder of results."""
         if self.motors.are_stated:
             folder = self.output.output_dir
-            yield "--output-dir", folder / file_access.DAMIAO_NAME
-            yield "--output-dir", folder / file_access.DAMIAO_WEIGHT_NAME
-        yield from super()._output_files()
+            yield option_name("output_dir"), folder / file_access.DAMIAO_NAME
+            yield option_name("output_dir"), folder / file_access.DAMIAO_WEIGHT_NAME
+        yield from super().folder_files()
 
 
 @dataclass(frozen=True)
@@ -307,11 +346,15 @@ class PlanConfig(MotionConfig):
         "friction_model",
         "keep",
     )
+    result_names: ClassVar[tuple[str, ...]] = ()
 
     @property
     def plan_file(self) -> Path:
         """The file that the trajectory is written to."""
         return self.trajectory.save or self.output.output_dir / file_access.PLAN_NAME
+
+    def _settings_path(self) -> Path:
+        return self.plan_file.with_suffix(".toml")
 
 
 @dataclass(frozen=True)
@@ -399,7 +442,8 @@ def with_scale_prior(
 class CheckConfig(IdentifyConfig):
     """Options of ``check``, which writes nothing: its model may be a result."""
 
-    def _output_files(self) -> Iterator[tuple[str, Path]]:
+    def written_files(self) -> Iterator[tuple[str, Path]]:
+        """Yield nothing."""
         yield from ()
 
 

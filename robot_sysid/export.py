@@ -31,9 +31,9 @@ from robot_sysid.results.verdicts import Verdict
 from robot_sysid.results.written_model import can_bend, versions, write_model
 
 # Files that a command writes after the results.
-_LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
+_LATER_NAMES = (file_access.DATA_NAME, file_access.RUN_NAME)
 _MOTOR_NAMES = (file_access.DAMIAO_NAME, file_access.DAMIAO_WEIGHT_NAME)
-RESULT_NAMES = (*file_access.RESULT_NAMES, *_MOTOR_NAMES, "report.html")
+RESULT_NAMES = (*file_access.RESULT_NAMES, *_MOTOR_NAMES, file_access.REPORT_NAME)
 """Result files of all commands and releases; a planned motion is no result."""
 MotorFile = Callable[[file_access.AtomicFiles, Path], tuple[Sequence[Path], list[str]]]
 """Drafts the motor trajectory in a folder; returns the paths of its files and lines on them."""
@@ -257,8 +257,9 @@ def remove_earlier(
 ) -> list[str]:
     """Have result files of an earlier run removed once those of this run are in place.
 
-    Files that this run reads stay, whatever they are called, and so does the file for motors of a
-    motion that was planned in this folder: a self-test's is a result, a plan's is played again.
+    Files that this run reads stay, whatever they are called, those that no run wrote, and the file
+    for motors of a motion that was planned in this folder: a self-test's is a result, a plan's is
+    played again.
 
     Args:
         files: which removes them when it commits.
@@ -279,7 +280,7 @@ def remove_earlier(
     for name in (*RESULT_NAMES, *_LATER_NAMES):
         path = folder / name
         is_kept = name in of_plan or os.path.realpath(path) in used
-        if path.is_file() and not is_kept:
+        if file_access.is_of_run(path) and not is_kept:
             files.remove(path)
             if name not in _LATER_NAMES:
                 notes.append(f"{path} of an earlier run was removed")

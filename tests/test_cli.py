@@ -22,6 +22,7 @@ from robot_sysid.cli import main, on_one_line, record_interrupts
 from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import ColumnsError
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.records.file_access import RECORD_NAME
 
 ARM = serial_arm((Y, "1 .2 0"))
 SHORT = ("--duration", "1", "--sample-rate", "100", "--seed", "1")
@@ -253,7 +254,8 @@ def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
         printed = command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
     end = "robot-sysid: error: interrupted; no unfinished file is left\n"
     assert printed.err.endswith(end)
-    assert sorted(order) == RESULTS and order[-1] == "updated_model.xml"
+    assert order[0] == RECORD_NAME and order[-1] == "updated_model.xml"
+    assert sorted(order[1:]) == RESULTS
     new_files = files_in(OUT)
     assert sorted(new_files) == RESULTS
     assert all(new_files[name] != old_files[name] for name in RESULTS)

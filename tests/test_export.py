@@ -27,6 +27,7 @@ from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError
 from robot_sysid.export import RESULT_NAMES, save
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records import file_access
 from robot_sysid.records.file_access import json_text
 from robot_sysid.records.quantities import FILE
 from robot_sysid.results import content as rows
@@ -68,8 +69,14 @@ def heavier(robot):
 
 
 def names_in(folder):
-    """Sorted names of the files and folders in a folder."""
-    return sorted(path.name for path in folder.iterdir())
+    """Sorted names of the files and folders in a folder, but for the record of what runs wrote."""
+    return sorted({path.name for path in folder.iterdir()} - {file_access.RECORD_NAME})
+
+
+def write_as_run(folder, files):
+    """Write files, text by name, as an earlier run does."""
+    for name, text in files.items():
+        file_access.write_atomically(folder / name, text)
 
 
 def test_the_whole_way_from_a_result(robot, out):
@@ -160,9 +167,8 @@ def test_the_motor_trajectory_stands_beside_the_others_or_nothing_does(robot, ou
 
 
 def test_no_result_of_an_earlier_run_stays_and_nothing_else_goes(robot, out):
-    write_files(
-        out, {**EARLIER, **OTHERS, "bundle/m.xml": "sent", "params.json.bak": "mine"}
-    )
+    write_as_run(out, EARLIER)
+    write_files(out, {**OTHERS, "bundle/m.xml": "sent", "params.json.bak": "mine"})
     progress = NoteRecorder()
     save_result(heavier(robot), out, progress)
     result_names = {"updated_model.xml", "params.json"}
@@ -178,7 +184,7 @@ def test_no_result_of_an_earlier_run_stays_and_nothing_else_goes(robot, out):
 def test_the_motion_that_was_planned_for_motors_stays_to_be_played_again(robot, out):
     motion = {"damiao_trajectory.csv": "rows", "damiao_trajectory_weight.csv": "rows"}
     plan = {"trajectory.toml": 'path = "arm.xml"\nmotor_type = ["DM4340"]\n'}
-    write_files(out, {**motion, **plan, "report.html": "old"})
+    write_as_run(out, {**motion, **plan, "report.html": "old"})
     save_result(heavier(robot), out)
     results = ["updated_model.xml", "params.json"]
     assert names_in(out) == sorted([*motion, *plan, *results])
@@ -186,7 +192,7 @@ def test_the_motion_that_was_planned_for_motors_stays_to_be_played_again(robot, 
 
 @pytest.mark.parametrize("case", ["not trusted", "does not fit"])
 def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
-    write_files(out, EARLIER)
+    write_as_run(out, EARLIER)
     result = result_of(robot, -robot.prior.theta)
     if case == "not trusted":
         result = replace(heavier(robot), remarks=(Verdict.TOO_WEAK.remark(),))
@@ -199,22 +205,24 @@ def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
 
 
 def test_what_this_run_reads_stays_whatever_it_is_called(out):
-    log = "report_data.npz"
+    log = "damiao_trajectory.csv"
     text = '<mujoco><include file="servo.json"/><worldbody/></mujoco>'
-    files = {"m.xml": text, "servo.json": ARM, log: "", "payload_card.txt": ""}
+    files = {"m.xml": text, "servo.json": ARM, log: "rows"}
     write_files(out, files)
+    write_as_run(out, {"payload_card.txt": "card"})
     robot_in_out = load_robot_model(out / "m.xml", joint="j2")
     (out / "link").symlink_to(out, target_is_directory=True)
     weak = replace(heavier(robot_in_out), remarks=(Verdict.TOO_WEAK.remark(),))
     progress = NoteRecorder()
     save_result(weak, out / "link", progress, empty=(out / log,))
-    assert names_in(out) == ["link", "m.xml", "params.json", log, "servo.json"]
+    assert names_in(out) == sorted(["link", "m.xml", "params.json", log, "servo.json"])
     (note,) = progress.notes
     assert "payload_card.txt" in note
 
 
 def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out):
-    write_files(out, {**EARLIER, **OTHERS})
+    write_as_run(out, EARLIER)
+    write_files(out, OTHERS)
     old_files = files_in(out)
 
     def interrupt(*_):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from robot_sysid.cli import main
 from robot_sysid.commands import check, example, identify, log, motors, report
+from robot_sysid.records.file_access import RECORD_NAME
 
 COMMANDS = {
     command.name: command
@@ -52,9 +53,14 @@ def require_names(text: str) -> None:
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
-    """Everything in a folder by relative path, folders with an empty content."""
+    """Everything in a folder by relative path, folders with an empty content.
+
+    The hidden record of what runs wrote there is left out.
+    """
     contents = {}
     for path in sorted(folder.rglob("*")):
+        if path.name == RECORD_NAME:
+            continue
         name = str(path.relative_to(folder))
         contents[name] = path.read_bytes() if path.is_file() else b""
     return contents

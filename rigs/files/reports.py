@@ -11,8 +11,8 @@ from rigs.files import results as made
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DataOrigin
 from robot_sysid.records.data import Traces
-from robot_sysid.records.file_access import json_text
-from robot_sysid.report.page import REPORT_NAME, write_report
+from robot_sysid.records.file_access import REPORT_NAME, json_text
+from robot_sysid.report.page import write_report
 from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of

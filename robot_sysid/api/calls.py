@@ -44,6 +44,7 @@ from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.planning import predict_plan
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Array, Motion, Recording, RobotModel, checked_array
+from robot_sysid.records.file_access import claim
 from robot_sysid.records.messages import Progress, says
 from robot_sysid.records.option_fields import given_values, options_of_all, record_from
 
@@ -209,7 +210,7 @@ def _quietly() -> Iterator[_Notes]:
 
 def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Result:
     """Identify with the options of a config, without printing; the notes are in the result."""
-    with _quietly() as notes:
+    with claim(config.named_files()), _quietly() as notes:
         robot = load_arm(config, notes)
         result, _ = stages.identify(config, robot, notes)
     texts = [remark.text for remark in result.remarks]

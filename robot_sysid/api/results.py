@@ -22,7 +22,7 @@ from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.planning import draft_motor_file, draft_plan
 from robot_sysid.pipeline.stages import load_arm, write_results
 from robot_sysid.records import Array, Motion, RobotModel
-from robot_sysid.records.file_access import atomic_files, models_in
+from robot_sysid.records.file_access import atomic_files, claim, models_in
 from robot_sysid.records.installation import missing_library
 from robot_sysid.records.messages import Progress, torque_unit, with_error
 from robot_sysid.report.drawing import COLOURS
@@ -125,15 +125,28 @@ class Result(Identification):
         The folder is created where it is missing; returns the written files.
 
         Raises:
-            InputError: the folder cannot be written to.
+            InputError: the folder cannot be written to, holds files by these names that no run
+                wrote, or another run is writing to it.
         """
-        with in_python(), one_thread(), writable_folder(Path(folder), Progress()):
-            return self._write(Path(folder)).files
+        folder = Path(folder)
+        config = self._config_for(folder)
+        with (
+            in_python(),
+            one_thread(),
+            claim(config.folder_files()),
+            writable_folder(folder, Progress()),
+        ):
+            return self._write(folder).files
+
+    def _config_for(self, folder: Path) -> Config:
+        """Return the options with another folder of results."""
+        output = replace(self.config.output, output_dir=folder)
+        config: Config = replace(self.config, output=output)
+        return config
 
     def _write(self, folder: Path) -> Written:
         """Write the files of the result to a folder."""
-        output = replace(self.config.output, output_dir=folder)
-        return write_results(replace(self.config, output=output), self, Progress())
+        return write_results(self._config_for(folder), self, Progress())
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied, of a file that lasts as this process.
@@ -251,15 +264,17 @@ class PlanResult:
 
         Raises:
             SysidError: the motion must not be played; says why.
-            InputError: a file cannot be written.
+            InputError: a file cannot be written, or would replace one that no run wrote.
         """
         if self.failure:
             raise SysidError(f"{self.failure}; nothing was written")
         path = Path(path)
         trajectory = replace(self.config.trajectory, save=path)
-        config = replace(self.config, trajectory=trajectory)
+        output = replace(self.config.output, output_dir=path.parent)
+        config = replace(self.config, trajectory=trajectory, output=output)
         plan = self.checked.plan
-        with in_python(), one_thread(), atomic_files() as files:
+        written = [*config.folder_files(), *config.named_files()]
+        with in_python(), one_thread(), claim(written), atomic_files() as files:
             paths = draft_plan(config, self.robot, self.checked, files)
             motors = draft_motor_file(config, self.robot, plan, files, path.parent)
             return paths + motors[0]

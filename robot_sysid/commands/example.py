@@ -14,6 +14,7 @@ from robot_sysid.commands.arguments import Command
 from robot_sysid.config import OutputOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.drafts import temporary_folder
+from robot_sysid.records.file_access import claim
 from robot_sysid.records.installation import PACKAGE_FOLDER
 from robot_sysid.records.messages import shell_word
 from robot_sysid.records.option_fields import (
@@ -66,7 +67,9 @@ def run(values: Mapping[str, Any], console: Console) -> int:
         )
     source = source_folder(name)
     console.stage(f"Simulating {len(PLANTS)} logs of the example's arm...")
-    _copy_example(source, folder)
+    # Nothing is in its place, so that the claim is one on the name alone.
+    with claim([("folder with --output-dir DIR", folder)]):
+        _copy_example(source, folder)
     console.stage(f"Example copied to {folder}. What to do with it:")
     names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
     paths = {key: shell_word(str(folder / name)) for key, name in names.items()}

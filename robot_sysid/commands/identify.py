@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from robot_sysid.config import (
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.records import file_access
-from robot_sysid.records.messages import printable, quoted_text, shell_line
+from robot_sysid.records.messages import Progress, printable, quoted_text, shell_line
 from robot_sysid.records.option_fields import given_values
 from robot_sysid.report.drawing import require_matplotlib
 
@@ -54,6 +54,17 @@ def run_config(
     config = replace(config, output=replace(config.output, config=console.config))
     if isinstance(config, MotionConfig):
         config = config.with_seed()
+    with file_access.claim(config.written_files()):
+        return _run_claimed(config, name, run, console)
+
+
+def _run_claimed(
+    config: Config, name: str, run: Callable[[Config, Progress], Any], console: Console
+) -> int:
+    """Run a command whose files are held, print what it has written, draw its report.
+
+    ``run``: the pipeline, which returns what was written. Returns the exit code.
+    """
     with library_warnings_as_notes(console):
         written = run(config, console)
     console.stage(*written.lines)
@@ -139,10 +150,8 @@ COMMANDS = (
 
 def _write_settings(config: Config, command: str) -> None:
     """Write the file that repeats a run, but not over the file of its own --config."""
-    path = config.output.output_dir / file_access.RUN_NAME
-    if isinstance(config, PlanConfig):
-        path = config.plan_file.with_suffix(".toml")
-    if path.resolve() == Path(config.output.config or "").resolve():
+    path = config.settings_file
+    if path is None:
         return
     words = [PROGRAM, *command.split(), "--config", str(path)]
     text = f"# In {printable(str(Path.cwd()))}: {shell_line(words)}\n"

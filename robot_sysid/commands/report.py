@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Command
 from robot_sysid.config import Config, OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
+from robot_sysid.records.file_access import REPORT_NAME, claim
 from robot_sysid.records.option_fields import (
     FileArguments,
     option,
@@ -19,6 +20,10 @@ from robot_sysid.records.option_fields import (
     record_from,
 )
 from robot_sysid.report.drawing import require_matplotlib
+from robot_sysid.wording import option_name
+
+if TYPE_CHECKING:
+    from robot_sysid.report.runs import Run
 
 
 @dataclass(frozen=True)
@@ -36,13 +41,24 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     folder = record_from(OutputOptions, values).output_dir
     require_matplotlib()
     # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.pipeline.comparison import compare_runs, sentences
-    from robot_sysid.report.page import write_report
+    from robot_sysid.report.page import COMPARISON_NAME
     from robot_sysid.report.runs import load_run
 
     runs = [load_run(path) for path in record_from(RunFolders, values).folders]
     if "output_dir" not in values:
         folder = runs[0].folder
+    name = REPORT_NAME if len(runs) == 1 else COMPARISON_NAME
+    with claim([(option_name("output_dir"), folder / name)]):
+        return _write_page(runs, folder, mesh_dir, console)
+
+
+def _write_page(
+    runs: Sequence[Run], folder: Path, mesh_dir: Path | None, console: Console
+) -> int:
+    """Write the page of runs into a folder, whose files are held; return the exit code."""
+    from robot_sysid.pipeline.comparison import compare_runs, sentences
+    from robot_sysid.report.page import write_report
+
     differences = []
     changes = []
     if len(runs) == 2:

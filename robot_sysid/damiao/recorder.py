@@ -47,6 +47,8 @@ from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
+from robot_sysid.records.file_access import hold
+from robot_sysid.wording import option_name
 
 Action = Callable[[], object]
 """A function without arguments that prints or writes."""
@@ -122,7 +124,8 @@ class MeasurementRecorder:
     is brought to rest first.
 
     Args:
-        path: file to write; one that exists raises InputError unless the plan allows to replace it.
+        path: file to write; one that exists raises InputError unless the plan allows to replace it,
+            and so does one that another run is writing.
         plan: the plan that is played.
         registers: register values of each joint's motor, by register number.
         aside: runs the actions that write.
@@ -147,12 +150,15 @@ class MeasurementRecorder:
         lines = [f"# {line}" for line in _head(plan, registers)]
         lines.append(",".join(columns))
         mode = "w" if plan.recording.overwrite else "x"
+        self._held = contextlib.ExitStack()
+        self._held.enter_context(hold(path, option_name("record")))
         try:
             # Each line goes to the operating system at once, which writes it even if this program
             # dies.
             self._file = open(path, mode, buffering=1, encoding="utf-8")  # noqa: SIM115
             self._file.write("\n".join(lines) + "\n")
         except OSError as error:
+            self._held.close()
             raise InputError(f"cannot write {path}: {error.strerror}") from None
 
     @property
@@ -180,6 +186,7 @@ class MeasurementRecorder:
         if self.failure is not None:
             with contextlib.suppress(OSError):
                 self._file.close()
+        self._held.close()
 
     def write(
         self,

@@ -16,7 +16,7 @@ from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, defa
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Limits
-from robot_sysid.records.file_access import refuse_overwriting
+from robot_sysid.records.file_access import hold, refuse_overwriting
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.option_fields import (
     Check,
@@ -327,6 +327,8 @@ class RecordingOptions(OptionRecord):
             raise InputError(
                 f"cannot write {self.record}: its folder is missing, or not to be written to"
             )
+        with hold(self.record, option_name("record")):
+            pass  # No other run is writing it.
 
 
 @dataclass(frozen=True)

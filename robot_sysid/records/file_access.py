@@ -3,6 +3,11 @@
 A file is written as a draft, by a hidden name in the folder of its final path: an older file stays
 in place until the moment in which the draft replaces it. Whatever the system refuses raises
 InputError.
+
+A run replaces and removes nothing but what a run has written. A hidden file of each folder lists
+the names, sizes and SHA-256 hashes of the files that runs wrote there (``RECORD_NAME``): a mark
+within a file would stay in it when a person changes the file, and tables of numbers have no place
+for one.
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -23,7 +28,13 @@ from typing import Any, TextIO
 
 from robot_sysid.errors import InputError, delay_signals, error_text
 from robot_sysid.records.controllers import DRIVERS, SIMULATORS
-from robot_sysid.records.drafts import new_draft, remove_leftovers
+from robot_sysid.records.drafts import (
+    HIDDEN_PREFIX,
+    locked,
+    new_draft,
+    remove_leftovers,
+)
+from robot_sysid.wording import option_name
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Format of the robot's model file to the name of the written model: a URDF stays one."""
@@ -55,6 +66,12 @@ SERVO_NAME = "servo.json"
 """Name of the file with all numbers identified for an arm without torque measurement."""
 RUN_NAME = "run.toml"
 """Name of the file with all options of a run, from which it can be repeated."""
+DATA_NAME = "report_data.npz"
+"""Name of the file with the signals that a report draws."""
+REPORT_NAME = "report.html"
+"""Name of the page of one run."""
+RECORD_NAME = f"{HIDDEN_PREFIX}files.json"
+"""Name of the hidden file that lists what runs have written to its folder."""
 RESULT_NAMES = (
     PARAMS_NAME,
     SERVO_NAME,
@@ -64,6 +81,9 @@ RESULT_NAMES = (
     *ARM_CARD_NAMES.values(),
 )
 """Names of files that any run may write to its output folder."""
+_ABOUT_RECORD = "robot-sysid wrote these files here, and replaces no others"
+# How long to wait for another run that writes the record of a folder [s]: it takes milliseconds.
+_RECORD_PATIENCE = 2.0
 # Bytes of a file that are in memory at once while it is hashed.
 _PIECE = 2**20
 # How deep lists and tables of settings and results may lie within each other: theirs lie eight
@@ -250,17 +270,10 @@ class AtomicFiles:
         ``commit``. An earlier draft of ``path`` is removed, and so are those that killed runs left
         in its folder.
         """
-        if os.path.isdir(path):
-            raise InputError(
-                f"cannot write {path}: it is a folder; choose another name"
-            )
-        refuse_special_file(path, "choose another name to write to")
+        _refuse_no_file(path)
         self.withdraw(path)
         with _refusals_as_input_errors(path):
-            for folder in reversed(path.parents):
-                if not os.path.exists(folder):
-                    folder.mkdir(exist_ok=True)
-                    self._created_folders.append(folder)
+            self._created_folders += _create_folder(path.parent)
             remove_leftovers(path.parent)
             with delay_signals():
                 self._drafts[path], self._locks[path] = new_draft(path)
@@ -296,7 +309,10 @@ class AtomicFiles:
             os.close(self._locks.pop(path))
 
     def remove(self, path: Path) -> None:
-        """Have ``commit`` remove an existing file, after all drafts have their final names."""
+        """Have ``commit`` remove a file of an earlier run after all drafts have their final names.
+
+        One that no run has written stays.
+        """
         self._unwanted.append(path)
 
     def commit(self) -> None:
@@ -304,11 +320,21 @@ class AtomicFiles:
 
         With several drafts, an older file by the name of the first one is removed before the others
         change: should the system refuse to go on in between, it would describe files that are gone.
+
+        InputError, with every file as it was, where a draft would replace a file that no run wrote.
         """
         for path, draft in self._drafts.items():
             with _refusals_as_input_errors(path), open(draft, "rb+") as file:
                 os.fsync(file.fileno())
+        for path in self._drafts:
+            if not is_replaceable(path):
+                raise InputError(
+                    f"cannot replace {path}: no run wrote it, or it was changed since; move it "
+                    "away, or choose another name"
+                )
         with delay_signals():
+            # First of all: killed in between, both the old files and the new ones are known.
+            _record_drafts(self._drafts)
             if len(self._drafts) > 1:
                 first = next(iter(self._drafts))
                 with _refusals_as_input_errors(first):
@@ -316,9 +342,9 @@ class AtomicFiles:
             for path, draft in reversed(self._drafts.items()):
                 with _refusals_as_input_errors(path):
                     os.replace(draft, path)
-            for path in self._unwanted:
+            for path in filter(is_of_run, self._unwanted):
                 with _refusals_as_input_errors(path):
-                    path.unlink()
+                    path.unlink(missing_ok=True)
 
     def discard(self) -> None:
         """Remove all drafts without a final name, and the created folders that are empty."""
@@ -329,10 +355,7 @@ class AtomicFiles:
         for lock in self._locks.values():
             os.close(lock)
         self._locks.clear()
-        for folder in reversed(self._created_folders):
-            # The folder may hold a file.
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        _remove_empty(self._created_folders)
 
 
 @contextlib.contextmanager
@@ -367,6 +390,184 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     """Write a file whole or not at all, and create its folder where it is missing."""
     with atomic_files() as files:
         files.write(path, content)
+
+
+def _refuse_no_file(path: Path) -> None:
+    """Raise InputError where a path to write to leads to a folder, a pipe or a device."""
+    if os.path.isdir(path):
+        raise InputError(f"cannot write {path}: it is a folder; choose another name")
+    refuse_special_file(path, "choose another name to write to")
+
+
+def _create_folder(folder: Path) -> list[Path]:
+    """Create a folder and those above it; return those that were missing, outermost first."""
+    missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
+    for each in reversed(missing):
+        each.mkdir(exist_ok=True)
+    return missing[::-1]
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    """Remove folders, which are listed outermost first, as far as nothing is in them."""
+    for folder in reversed(folders):
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+@contextlib.contextmanager
+def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
+    """Hold files against other runs while the block runs; refuse those that no run wrote.
+
+    It encloses all of a run, so that a run which could not write its files does not begin. Folders
+    that the files need are created, and removed again where they stay empty.
+
+    Args:
+        files: (option that has the file written, its path). Of what goes to the folder of results
+            the whole folder is held, as runs remove files there, too; of others the file alone.
+
+    Raises:
+        InputError: a file cannot be written, is no run's, or another run is about to write there.
+    """
+    listed = [*files]
+    folder_option = option_name("output_dir")
+    folders = {path.parent for option, path in listed if option == folder_option}
+    targets = {
+        path.parent if path.parent in folders else path: option
+        for option, path in listed
+    }
+    created: list[Path] = []
+    with contextlib.ExitStack() as stack:
+        stack.callback(_remove_empty, created)
+        for target, option in targets.items():
+            folder = target if target in folders else target.parent
+            require_writable(folder)
+            with _refusals_as_input_errors(folder):
+                created += _create_folder(folder)
+            stack.enter_context(hold(target, option))
+        for option, path in listed:
+            _refuse_no_file(path)
+            if not is_replaceable(path):
+                raise InputError(
+                    f"{option} would replace {path}, which no run wrote, or which was changed "
+                    "since; choose another, or move that file away"
+                )
+        yield
+
+
+@contextlib.contextmanager
+def hold(path: Path, option: str) -> Iterator[None]:
+    """Hold the lock of a file or folder; InputError, with its process, where another run does."""
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(locked(path))
+        except BlockingIOError as error:
+            raise InputError(
+                f"another run, process {error}, is writing to {path}; wait until it has ended, or "
+                f"choose another {option}"
+            ) from None
+        yield
+
+
+def is_replaceable(path: Path) -> bool:
+    """Return whether a run may write a file to a path: nothing a person has is there.
+
+    That is no file, an empty one, or one that a run wrote.
+    """
+    try:
+        info = os.lstat(path)
+    except OSError:
+        return True
+    is_empty = stat.S_ISREG(info.st_mode) and info.st_size == 0
+    return is_empty or is_of_run(path)
+
+
+def is_of_run(path: Path) -> bool:
+    """Return whether a run wrote a file, and nobody has changed it since.
+
+    A link is a person's, whatever it leads to.
+    """
+    entries = _recorded_files(path.parent).get(path.name, [])
+    # Only a file of such a size is read.
+    sizes = [entry.get("bytes") for entry in entries]
+    try:
+        info = os.lstat(path)
+    except OSError:
+        return False
+    is_file = stat.S_ISREG(info.st_mode) and info.st_size in sizes
+    return is_file and _entry_of(path) in entries
+
+
+def _entry_of(path: Path) -> dict[str, Any] | None:
+    """Return what a record says of a file; None where it cannot be read."""
+    try:
+        return {"bytes": os.stat(path).st_size, "sha256": file_sha256(path)}
+    except OSError:
+        return None
+
+
+def _recorded_files(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return name to entries of the files that runs wrote to a folder.
+
+    Nothing where there is no record, or none that can be read: all files are then taken for a
+    person's.
+    """
+    try:
+        content = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
+        files = content["files"].items()
+        return {
+            name: [entry for entry in entries if isinstance(entry, dict)]
+            for name, entries in files
+        }
+    except (
+        OSError,
+        ValueError,
+        RecursionError,
+        LookupError,
+        TypeError,
+        AttributeError,
+    ):
+        return {}
+
+
+def _record_drafts(drafts: Mapping[Path, Path]) -> None:
+    """Add drafts, by their final paths, to the records of their folders."""
+    folders: dict[Path, dict[Path, Path]] = {}
+    for path, draft in drafts.items():
+        folders.setdefault(path.parent, {})[path] = draft
+    for folder, drafts_there in folders.items():
+        record = folder / RECORD_NAME
+        with contextlib.ExitStack() as stack, _refusals_as_input_errors(record):
+            # Another run may write another file of this folder.
+            with contextlib.suppress(BlockingIOError):
+                stack.enter_context(locked(record, _RECORD_PATIENCE))
+            _write_record(record, drafts_there)
+
+
+def _write_record(record: Path, drafts: Mapping[Path, Path]) -> None:
+    """Add drafts to the record of their folder; what is no longer there leaves it.
+
+    A file that a draft is to replace stays in the record beside it.
+    """
+    files = {
+        name: entries
+        for name, entries in _recorded_files(record.parent).items()
+        if os.path.lexists(record.with_name(name))
+    }
+    for path, draft in drafts.items():
+        old = _entry_of(path)
+        entries = [entry for entry in files.get(path.name, []) if entry == old]
+        new = _entry_of(draft)
+        if new is not None and new not in entries:
+            entries.append(new)
+        files[path.name] = entries
+    new_record, lock = new_draft(record)
+    try:
+        text = json_text({"about": _ABOUT_RECORD, "files": files})
+        new_record.write_text(text, encoding="utf-8")
+        os.replace(new_record, record)
+    finally:
+        new_record.unlink(missing_ok=True)
+        os.close(lock)
 
 
 def require_writable(folder: Path) -> None:

@@ -20,6 +20,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import (
     CARD_NAME,
     PARAMS_NAME,
+    REPORT_NAME,
     require_writable,
     write_atomically,
 )
@@ -50,8 +51,6 @@ from robot_sysid.results.verdicts import Verdict
 
 # Errors that a page may raise if somebody has edited the run's params.json by hand.
 _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
-REPORT_NAME = "report.html"
-"""File name of the page about one run, and of its template."""
 COMPARISON_NAME = "comparison.html"
 """File name of the page that compares several runs, and of its template."""
 

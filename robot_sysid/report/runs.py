@@ -18,6 +18,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.table import as_input_errors
 from robot_sysid.records import ITSELF, SIGNAL_NAMES, Array, Traces
 from robot_sysid.records.file_access import (
+    DATA_NAME,
     PARAMS_NAME,
     RESULT_NAMES,
     SERVO_NAME,
@@ -30,8 +31,6 @@ from robot_sysid.results.record import PAYLOAD
 from robot_sysid.results.schema import form_fault
 from robot_sysid.results.table import ORIGIN, rows_of
 
-DATA_NAME = "report_data.npz"
-"""Name of the file of a run's folder that holds its signals."""
 MOST_INSTANTS = 2000
 """Number of instants that are saved: no figure has more pixels across."""
 # Version of the format of report_data.npz; a file of another version is not read.

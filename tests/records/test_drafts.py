@@ -12,7 +12,7 @@ import pytest
 
 from rigs.files.places import ROOT
 from robot_sysid.records.drafts import new_draft, remove_leftovers, temporary_folder
-from robot_sysid.records.file_access import write_atomically
+from robot_sysid.records.file_access import RECORD_NAME, write_atomically
 
 pytest.importorskip("fcntl", reason="needs the locks of a Unix system")
 WAITING = """
@@ -53,8 +53,9 @@ def other_run(tmp_path):
 
 
 def hidden(folder):
-    """The hidden files and folders in a folder."""
-    return [path for path in folder.iterdir() if path.name.startswith(".")]
+    """The hidden files and folders in a folder, but for the record of what runs wrote."""
+    paths = [path for path in folder.iterdir() if path.name.startswith(".")]
+    return [path for path in paths if path.name != RECORD_NAME]
 
 
 def test_of_a_living_run_all_stays_and_of_a_killed_one_nothing(tmp_path, other_run):
@@ -64,7 +65,7 @@ def test_of_a_living_run_all_stays_and_of_a_killed_one_nothing(tmp_path, other_r
     other_run.wait()
     assert len(hidden(tmp_path)) == 2
     write_atomically(tmp_path / "a", "a")
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert {path.name for path in tmp_path.iterdir()} == {"a", RECORD_NAME}
 
 
 def test_a_scratch_folder_removes_what_lies_beside_it(tmp_path, other_run):

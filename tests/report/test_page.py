@@ -13,10 +13,11 @@ from markupsafe import escape
 from rigs.files import results as made
 from rigs.files.reports import payload_result, saved, traces
 from robot_sysid.errors import InputError
+from robot_sysid.records.file_access import REPORT_NAME
 from robot_sysid.records.messages import printable
 from robot_sysid.report.drawing import COLOURS
 from robot_sysid.report.figures import drawn_errors, error_bars
-from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report
+from robot_sysid.report.page import COMPARISON_NAME, write_report
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.verdicts import Verdict
 

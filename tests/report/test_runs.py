@@ -10,7 +10,8 @@ from rigs.files.reports import traces
 from robot_sysid.errors import InputError
 from robot_sysid.records import SIGNAL_NAMES
 from robot_sysid.records.data import Traces
-from robot_sysid.report.runs import DATA_NAME, load_data, load_run, save_data
+from robot_sysid.records.file_access import DATA_NAME
+from robot_sysid.report.runs import load_data, load_run, save_data
 
 
 def test_signals_are_read_as_they_were_written(tmp_path):

@@ -15,9 +15,9 @@ import matplotlib.font_manager  # noqa: F401 - makes its folders when it is firs
 from benchmarks.trust.fuzz.harness import Case, write_case
 from benchmarks.trust.fuzz.mutations import damage_bytes, damaged_json
 from rigs.files import reports
-from robot_sysid.records.file_access import PARAMS_NAME
+from robot_sysid.records.file_access import DATA_NAME, PARAMS_NAME
 from robot_sysid.report.page import write_report
-from robot_sysid.report.runs import DATA_NAME, load_run, save_data
+from robot_sysid.report.runs import load_run, save_data
 
 DATA_SHARE = 0.1
 PAGE_SHARE = 0.001

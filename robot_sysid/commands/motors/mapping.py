@@ -29,7 +29,7 @@ from robot_sysid.damiao.joints import (
 from robot_sysid.damiao.joints import map_joints as select_rows
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
-from robot_sysid.records.file_access import require_writable
+from robot_sysid.records.file_access import claim
 from robot_sysid.records.option_fields import OptionRecord, option
 from robot_sysid.wording import option_name
 
@@ -98,11 +98,21 @@ def map_joints(session: Session, options: MapOptions) -> int:
     InputError where the map's file exists already or cannot be written, before the arm is moved;
     other errors are those of ``joints_by_hand``, ``zeros_at_pose`` and ``zeros_at_stops``.
     """
-    robot = session.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
-    require_writable(options.output.parent)
     rows = _rows_to_renew(options)
+    with claim([(option_name("output"), options.output)]):
+        return _map_and_write(session, options, rows)
+
+
+def _map_and_write(
+    session: Session, options: MapOptions, rows: Sequence[DamiaoJoint]
+) -> int:
+    """Map the joints of the limp arm, and write their map; return the exit code 0.
+
+    ``rows``: of the map whose zeros are renewed; none for a new map.
+    """
+    robot = session.robot
     with session.open_guarded(protocol.is_motion) as link:
         arm = LimpArm(link, robot.n_joints)
         if rows:
