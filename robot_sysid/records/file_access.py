@@ -68,6 +68,8 @@ _TOO_DEEP = f"lists or tables lie more than {_MOST_NESTING} deep within each oth
 # before, and reading them takes time by the square of their number.
 _KEY_ENDS = re.compile(r"[=,{}\[\]\n]")
 _MOST_DOTS = 4 * _MOST_NESTING
+# Digits from which on an integer is larger than any number that is read, or infinite.
+_MOST_DIGITS = 300
 # First line of a file that Git LFS leaves in the place of a large one.
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 
@@ -142,7 +144,7 @@ def read_json(path: Path, remedy: str) -> Any:
     """
     text = read_text(path, remedy)
     try:
-        content = json.loads(text, parse_int=_number_of_digits)
+        content = json.loads(text, parse_int=number_of_digits)
         _refuse_odd(content)
     except (ValueError, RecursionError) as error:
         raise InputError(
@@ -151,9 +153,12 @@ def read_json(path: Path, remedy: str) -> Any:
     return content
 
 
-def _number_of_digits(digits: str) -> int | float:
-    """Return the integer that digits state, infinite where no float is that large: 1.8e308."""
-    return int(digits) if len(digits) < 300 else float(digits)
+def number_of_digits(digits: str) -> int | float:
+    """Return the integer that digits state, infinite where no float is that large: 1.8e308.
+
+    Python itself refuses more than some thousand digits, with advice on its own settings.
+    """
+    return int(digits) if len(digits) < _MOST_DIGITS else float(digits)
 
 
 def read_toml(path: Path) -> Mapping[str, Any]:
@@ -168,8 +173,13 @@ def read_toml(path: Path) -> Mapping[str, Any]:
             raise ValueError(_TOO_DEEP)
         content = tomllib.loads(text)
         _refuse_odd(content)
-    except (ValueError, RecursionError) as error:
+    except tomllib.TOMLDecodeError as error:
         raise InputError(f"cannot read {path}: {error_text(error)}") from None
+    except (ValueError, RecursionError) as error:
+        longest = max(map(len, re.findall(r"[\d_]+", text)), default=0)
+        is_large = longest >= _MOST_DIGITS
+        fault = f"an integer has {longest} digits" if is_large else error_text(error)
+        raise InputError(f"cannot read {path}: {fault}") from None
     return content
 
 
@@ -188,6 +198,8 @@ def _refuse_odd(content: Any) -> None:
                 below += value
             elif isinstance(value, str) and "\0" in value:
                 raise ValueError(f"the text {value!r:.60} holds a character zero")
+            elif isinstance(value, int) and abs(value) >= 10**_MOST_DIGITS:
+                raise ValueError(f"an integer has more than {_MOST_DIGITS} digits")
         if not below:
             return
         level = below
