@@ -49,9 +49,7 @@ def json_table(path: Path, *_: Any) -> LogTable:
     """Return JSON as a table: a state per line, a list of states, or an object of arrays."""
     text = path.read_text(encoding="utf-8-sig")
     try:
-        content = json.loads(
-            text, object_hook=_as_rows, parse_int=number_of_digits
-        )
+        content = json.loads(text, object_hook=_as_rows, parse_int=number_of_digits)
     except json.JSONDecodeError:
         second = next(islice(_json_values(text), 1, None), None)
         if not isinstance(second, (dict, list)):

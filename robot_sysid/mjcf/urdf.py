@@ -47,9 +47,7 @@ LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
 
-def make_compilable(
-    document: ModelDocument, fix_base: bool = False
-) -> tuple[str, ...]:
+def make_compilable(document: ModelDocument, fix_base: bool = False) -> tuple[str, ...]:
     """Make a URDF one that MuJoCo can compile, and return notes on what was changed.
 
     Args:

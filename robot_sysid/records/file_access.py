@@ -176,15 +176,18 @@ def read_toml(path: Path) -> Mapping[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"cannot read {path}: {error_text(error)}") from None
     except (ValueError, RecursionError) as error:
+        fault = error_text(error)
+        # Python's own message of it has advice on Python.
         longest = max(map(len, re.findall(r"[\d_]+", text)), default=0)
-        is_large = longest >= _MOST_DIGITS
-        fault = f"an integer has {longest} digits" if is_large else error_text(error)
+        if longest >= _MOST_DIGITS and "digits" in fault:
+            fault = f"an integer has {longest} digits; correct it"
         raise InputError(f"cannot read {path}: {fault}") from None
     return content
 
 
 def _refuse_odd(content: Any) -> None:
-    """Raise ValueError where a content lies too deep, or a text in it has a character zero.
+    """Raise ValueError where a content lies too deep, an integer is larger than any float, or a
+    text has a character zero.
 
     No path and no name has one; the system ends a text there, and shows another one.
     """

@@ -90,9 +90,10 @@ def test_a_model_is_read_in_any_encoding_that_xml_has(tmp_path, encoding, declar
     path = tmp_path / "m.xml"
     path.write_bytes((head + text.lstrip()).encode(encoding))
     assert name in names(path)
-    assert load_robot_model(path).n_joints == load_robot_model(
-        write_files(tmp_path, {"plain.xml": ARM})
-    ).n_joints
+    assert (
+        load_robot_model(path).n_joints
+        == load_robot_model(write_files(tmp_path, {"plain.xml": ARM})).n_joints
+    )
 
 
 @pytest.mark.parametrize("declared", ["no-such", "rot13", "zlib", "undefined", "idna"])
