@@ -465,13 +465,20 @@ def stated_error(error: float) -> str:
     return f"+-{100.0 * error:.2g}%" if error else ""
 
 
-def units_near(factor: float, relative_error: float) -> list[float]:
+def units_near(
+    factor: float, relative_error: float, errors: float = INTERVAL
+) -> list[float]:
     """Return the sizes of the units (keys of ``UNITS``) that a factor on all torques may be of.
 
     Masses that are a little off stand between the factor and that of its unit, beside the factor's
     own error.
+
+    Args:
+        factor: on all torques.
+        relative_error: of the factor.
+        errors: how many of them it may be off.
     """
-    margin = max(np.log(NEAR_UNIT), INTERVAL * relative_error)
+    margin = max(np.log(NEAR_UNIT), errors * relative_error)
     return [size for size in UNITS if abs(np.log(factor / size)) < margin]
 
 
@@ -487,25 +494,29 @@ def common_finding(
         return little_weight()
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
+    is_unit = mass_unit(robot, factor) != 1.0
     units = units_near(factor, relative_error)
+    # Counts of a driver may be near a unit by chance, which only masses that no arm has rule out.
+    others = units if is_unit else units_near(factor, relative_error, SURE)
+    is_told = len(units) == len(others) == 1
     unit_text = ""
     options: tuple[tuple[str, str], ...]
     options = (torque_scale(factor * evidence.divided, relative_error),)
-    if len(units) == 1:
+    if is_told:
         unit_text = f" (as in {UNITS[units[0]]})"
         options = (torque_scale(units[0] * evidence.divided),)
     name = FaultName.TORQUE_UNIT
     command = ""
-    if mass_unit(robot, factor) != 1.0:
+    if is_unit:
         remedy = f"they are in another unit{unit_text}: divide them"
-    elif len(units) != 1 and is_far:
-        ways = [torque_scale(size * evidence.divided)[1] for size in units]
+    elif not is_told and is_far:
+        ways = [torque_scale(size * evidence.divided)[1] for size in others]
         listed = " or ".join(
             f"{UNITS[size]} ({option_name('torque_scale', way)})"
-            for size, way in zip(units, ways)
+            for size, way in zip(others, ways)
         )
-        others = f", or {listed}, which the ± does not tell apart" if units else ""
-        text += f": they may be motor currents or counts{others}"
+        text += ": they may be motor currents or counts"
+        text += f", or {listed}, which the ± does not tell apart" if others else ""
         remedy = with_option_names(WEIGHING)
         # The known mass says how far off each joint's is.
         options = (torque_scale(factor * evidence.divided),)
