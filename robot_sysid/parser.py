@@ -103,7 +103,7 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe, and those there are; or no such direction.
     """
-    compiled = compile_model(model, mesh_dir)
+    compiled = compile_model(model, mesh_dir, fix_base)
     mj_model = compiled.mj_model
     refuse_play(mj_model)
     terminal = (

@@ -465,6 +465,23 @@ def stated_error(error: float) -> str:
     return f"+-{100.0 * error:.2g}%" if error else ""
 
 
+def units_near(
+    factor: float, relative_error: float, errors: float = INTERVAL
+) -> list[float]:
+    """Return the sizes of the units (keys of ``UNITS``) that a factor on all torques may be of.
+
+    Masses that are a little off stand between the factor and that of its unit, beside the factor's
+    own error.
+
+    Args:
+        factor: on all torques.
+        relative_error: of the factor.
+        errors: how many of them it may be off.
+    """
+    margin = max(np.log(NEAR_UNIT), errors * relative_error)
+    return [size for size in UNITS if abs(np.log(factor / size)) < margin]
+
+
 def common_finding(
     robot: RobotModel, factor: float, relative_error: float, evidence: Evidence
 ) -> Finding:
@@ -477,23 +494,29 @@ def common_finding(
         return little_weight()
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
-    unit = min(UNITS, key=lambda size: abs(np.log(factor / size)))
-    # Masses that are a little off stand between the factor and that of its unit.
-    is_close = abs(np.log(factor / unit)) < max(
-        np.log(NEAR_UNIT), INTERVAL * relative_error
-    )
-    unit_text = f" (as in {UNITS[unit]})" if is_close else ""
+    is_unit = mass_unit(robot, factor) != 1.0
+    units = units_near(factor, relative_error)
+    # Counts of a driver may be near a unit by chance, which only masses that no arm has rule out.
+    others = units if is_unit else units_near(factor, relative_error, SURE)
+    is_told = len(units) == len(others) == 1
+    unit_text = ""
     options: tuple[tuple[str, str], ...]
-    if is_close:
-        options = (torque_scale(unit * evidence.divided),)
-    else:
-        options = (torque_scale(factor * evidence.divided, relative_error),)
+    options = (torque_scale(factor * evidence.divided, relative_error),)
+    if is_told:
+        unit_text = f" (as in {UNITS[units[0]]})"
+        options = (torque_scale(units[0] * evidence.divided),)
     name = FaultName.TORQUE_UNIT
     command = ""
-    if mass_unit(robot, factor) != 1.0:
+    if is_unit:
         remedy = f"they are in another unit{unit_text}: divide them"
-    elif not is_close and is_far:
-        text += ": they may be motor currents"
+    elif not is_told and is_far:
+        ways = [torque_scale(size * evidence.divided)[1] for size in others]
+        listed = " or ".join(
+            f"{UNITS[size]} ({option_name('torque_scale', way)})"
+            for size, way in zip(others, ways)
+        )
+        text += ": they may be motor currents or counts"
+        text += f", or {listed}, which the ± does not tell apart" if others else ""
         remedy = with_option_names(WEIGHING)
         # The known mass says how far off each joint's is.
         options = (torque_scale(factor * evidence.divided),)

@@ -35,6 +35,7 @@ from pathlib import Path
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.titles import TIME_UNITS
+from robot_sysid.records.messages import visible
 
 JOINT_COLUMNS = ("position", "velocity", "torque", "joint_time", "command")
 """Keys of declarations that are quantities with a column per joint."""
@@ -154,7 +155,7 @@ def declarations(source: Path | str) -> Mapping[str, str]:
                 f"cannot read the columns file {place}: {fault}"
             ) from error
     # "#" begins a comment at the start of a line or behind a blank, unless it is column "#3".
-    text = re.sub(r"(?m)(^|[^\S\n])#(?!\d).*", "", source)
+    text = re.sub(r"(?m)(^|[^\S\n])#(?!\d).*", "", visible(source))
     values: dict[str, str] = {}
     # A comma before the next "key =" ends an entry; titles may hold others.
     for entry in re.split(r"\n|,\s*(?=[a-z_]+(?:\.[^,=\n]*)?\s*=)", text):

@@ -40,6 +40,7 @@ from robot_sysid.logs.text import (
 )
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
+from robot_sysid.records.file_access import number_of_digits
 from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.wording import option_name
 
@@ -48,7 +49,7 @@ def json_table(path: Path, *_: Any) -> LogTable:
     """Return JSON as a table: a state per line, a list of states, or an object of arrays."""
     text = path.read_text(encoding="utf-8-sig")
     try:
-        content = json.loads(text, object_hook=_as_rows)
+        content = json.loads(text, object_hook=_as_rows, parse_int=number_of_digits)
     except json.JSONDecodeError:
         second = next(islice(_json_values(text), 1, None), None)
         if not isinstance(second, (dict, list)):
@@ -134,7 +135,7 @@ def _as_rows(content: dict[str, Any]) -> Any:
 
 def _json_values(text: str) -> Iterator[Any]:
     """Yield the values of JSON that follow each other in a text; None for a line that is none."""
-    decoder = json.JSONDecoder()
+    decoder = json.JSONDecoder(parse_int=number_of_digits)
     visible = re.compile(r"\S")
     position = 0
     while match := visible.search(text, position):
@@ -281,7 +282,7 @@ def _mcap_states(path: Path) -> Iterator[tuple[str, Any]]:
     protobuf = import_optional("mcap_protobuf.decoder", "mcap").DecoderFactory()
     # Encoding to the function of schema and bytes that returns the state in a message.
     decoders: Mapping[str, Callable[[Any, bytes], Any]] = {
-        "json": lambda schema, data: json.loads(data),
+        "json": lambda schema, data: json.loads(data, parse_int=number_of_digits),
         "protobuf": lambda s, data: _plain(protobuf.decoder_for("protobuf", s)(data)),
     }
     with path.open("rb") as stream:

@@ -53,8 +53,8 @@ def _numbers_in_mapping(
     seconds = _SECONDS & value.keys()
     nanoseconds = _NANOSECONDS & value.keys()
     if seconds and nanoseconds:
-        fraction = 1e-9 * int(value[min(nanoseconds)])
-        yield title or "time", int(value[min(seconds)]) + fraction
+        fraction = 1e-9 * float(value[min(nanoseconds)])
+        yield title or "time", float(value[min(seconds)]) + fraction
         stamp = seconds | nanoseconds
         value = {key: value[key] for key in value if key not in stamp}
     lengths = [len(content) for content in value.values() if isinstance(content, list)]

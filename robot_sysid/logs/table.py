@@ -26,7 +26,7 @@ from robot_sysid.records import Array, ColumnMap
 from robot_sysid.records.data import shift_behind
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import missing_library
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Progress, visible
 from robot_sysid.records.servo_setting import UNKNOWN, ServoSetting
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 
@@ -236,16 +236,24 @@ def make_table(
             titles.append(name)
         else:
             titles += part_titles(name, width, (joint_names or {}).get(width, ()))
+    shown = tuple(map(visible, titles))
+    if shown != tuple(titles):
+        odd = next(title for title in titles if title != visible(title))
+        notes = (
+            *notes,
+            f"titles hold characters that nobody sees, and are read without them: {odd!r} is "
+            f"{visible(odd)}",
+        )
     return LogTable(
         path,
         layout,
-        tuple(titles),
+        shown,
         blocks or partial(array_blocks, arrays),
         choices or ColumnChoices(),
         row_noun,
         first_row,
         notes,
-        starts or {},
+        {visible(title): start for title, start in (starts or {}).items()},
     )
 
 

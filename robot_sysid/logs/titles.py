@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from robot_sysid.logs.joint_names import split_camel_case
+from robot_sysid.records.messages import visible
 
 
 def token_set(text: str) -> frozenset[str]:
@@ -344,7 +345,7 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
     """
     stripped = text.strip().translate(_NARROW)
     for name in sorted(joint_names, key=len, reverse=True):
-        form = re.escape(name)
+        form = re.escape(visible(name))
         match = re.fullmatch(rf"(?s){form}([\W_].*)|(.*[\W_]){form}", stripped)
         if match:
             title = replace(read_title(match[1] or match[2]), text=text, joint=name)

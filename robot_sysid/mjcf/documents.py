@@ -8,6 +8,7 @@ may change.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import re
@@ -31,6 +32,25 @@ SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 _COMMENT = re.compile(r"(<!--)(.*?)(-->|\Z)", re.DOTALL)
 # A character that nobody uses, in the place of each dash inside a comment.
 _MASK = "\ue000"
+# First bytes of a file to its encoding, by a mark of their order or by those of "<" or "<?"; the
+# longer ones come first, as those of UTF-32 begin with those of UTF-16.
+_BEGINNINGS = {
+    b"\0\0\xfe\xff": "utf-32",
+    b"\xff\xfe\0\0": "utf-32",
+    b"\0\0\0<": "utf-32-be",
+    b"<\0\0\0": "utf-32-le",
+    b"\xfe\xff": "utf-16",
+    b"\xff\xfe": "utf-16",
+    b"\0<": "utf-16-be",
+    b"<\0": "utf-16-le",
+    b"\x4c\x6f\xa7\x94": "cp037",
+}
+# The encoding that a file's first line declares, in ASCII.
+_DECLARED = re.compile(
+    rb"\s*<\?xml[^>]*?\bencoding\s*=\s*[\"']([A-Za-z][A-Za-z0-9._-]{,40})[\"']"
+)
+_ESCAPE = b"\x1b"
+_UTF8 = "utf-8-sig"
 OWN_COMMENT = "System ID:"
 """Begin of the comments that this program writes."""
 
@@ -61,8 +81,7 @@ class ModelDocument:
     @property
     def is_utf8(self) -> bool:
         """Whether its files are UTF-8, which is how MuJoCo reads every file."""
-        raws = self.contents.values()
-        return all(raw.decode("utf-8", "ignore").encode() == raw for raw in raws)
+        return all(_encoding(raw) == _UTF8 for raw in self.contents.values())
 
     @property
     def sha256(self) -> str:
@@ -226,18 +245,30 @@ def _read_bytes(path: Path) -> bytes:
         ) from None
 
 
-def _file_text(raw: bytes, path: Path) -> str:
-    """Return a file's bytes as text: as UTF-8, or else as Latin-1, as old programs write them.
+def _encoding(raw: bytes) -> str:
+    """Return the encoding of a file's bytes: as its first bytes say, else UTF-8, else as its
+    declaration says, or else Latin-1, as old programs write.
 
-    ModelError where there are none.
+    UTF-8 is tried before what is declared: text in another encoding is hardly ever UTF-8, and a
+    declaration may be that of the program that wrote an earlier version.
     """
+    encodings = [name for start, name in _BEGINNINGS.items() if raw.startswith(start)]
+    # In a file of 7-bit codes that change the alphabet, such as ISO-2022-JP.
+    encodings += [] if _ESCAPE in raw else [_UTF8]
+    encodings += [match[1].decode() for match in [_DECLARED.match(raw)] if match]
+    for name in encodings:
+        with contextlib.suppress(LookupError, UnicodeError):
+            raw.decode(name)
+            return name
+    return "latin-1"
+
+
+def _file_text(raw: bytes, path: Path) -> str:
+    """Return a file's bytes as text; ModelError where there are none."""
     if not raw.strip():
         raise ModelError(f"Expected an XML model file, but {path} is empty")
-    try:
-        # MuJoCo tolerates white space before the declaration, strict parsers do not.
-        return raw.decode("utf-8-sig").lstrip()
-    except UnicodeError:
-        return raw.decode("latin-1").lstrip()
+    # MuJoCo tolerates white space before the declaration, strict parsers do not.
+    return raw.decode(_encoding(raw)).lstrip("\ufeff").lstrip()
 
 
 def _parse(raw: bytes, path: Path) -> Node:

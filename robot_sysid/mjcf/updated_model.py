@@ -40,6 +40,7 @@ from robot_sysid.mjcf.urdf import (
     give_minimum,
     mend_inertias,
     raise_inertias,
+    weld_floating,
 )
 from robot_sysid.records import Array, Flange
 
@@ -131,6 +132,8 @@ def changed_model_text(
         ExportError: the file does not contain an element itself (see ``find_element``).
     """
     document = read_document(source, mesh_dir)
+    if document.is_urdf:
+        weld_floating(document)
     for element in change.elements:
         write_element(document, element, change.rmse)
     written = []

@@ -34,6 +34,8 @@ from robot_sysid.wording import option_name
 
 # Suffixes of the mesh files that MuJoCo reads.
 _READABLE_MESHES = (".stl", ".obj", ".msh")
+# Name of MuJoCo's own body that stands still.
+_WORLD = "world"
 # Mass that a moving link without mass gets [kg]: MuJoCo refuses less than 1e-15.
 _MINIMUM_MASS = 1e-6
 # Moments of inertia that such a link gets [kg m^2].
@@ -45,15 +47,30 @@ LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
 
-def make_compilable(document: ModelDocument) -> tuple[str, ...]:
+def make_compilable(document: ModelDocument, fix_base: bool = False) -> tuple[str, ...]:
     """Make a URDF one that MuJoCo can compile, and return notes on what was changed.
 
+    Args:
+        document: the URDF.
+        fix_base: whether what a floating joint carries stands still.
+
     Raises:
-        ModelError: a mesh that decides a link's inertia is missing.
+        ModelError: a mesh that decides a link's inertia is missing, or a floating joint is where
+            MuJoCo takes none, and ``fix_base`` is not stated.
         ValueError: a number cannot be read.
     """
     notes = [*drop_unused_axes(document), *_use_absolute_meshes(document)]
-    _stand_on_world(document)
+    # MuJoCo takes a free joint on its world alone, which is a first link of that name.
+    rename_link(document, _name_of_world(document), _WORLD)
+    if not fix_base:
+        for joint in _floating_below_links(document):
+            raise free_joint_error(str(joint.get("name")))
+    welded = weld_floating(document)
+    if welded:
+        notes.append(
+            f"floating joint {', '.join(welded)}, of which MuJoCo takes none there, is fixed, in a "
+            "written model too"
+        )
     document.set_compiler({"fusestatic": "false", "strippath": "false"})
     mended, nearest = mend_inertias(document)
     notes += [f"{text}; it is used, in a written model too" for text in mended]
@@ -110,25 +127,70 @@ def _is_vector(text: str | None) -> bool:
         return False
 
 
-def _stand_on_world(document: ModelDocument) -> None:
-    """Make the world of an empty first link that a floating joint carries the arm from.
-
-    MuJoCo takes a free joint on its world alone, which is a first link of that name.
+def _name_of_world(document: ModelDocument) -> str:
+    """Return the name of the link that is MuJoCo's world: one of that name, or an empty first link
+    that a floating joint carries the arm from.
     """
     links = {link.get("name"): link for link in document.root.findall("link")}
+    if _WORLD in links:
+        return _WORLD
     joints = document.root.findall("joint")
     children = {get(joint.find("child"), "link") for joint in joints}
     floating = [joint for joint in joints if joint.get("type") == "floating"]
-    parents = {get(joint.find("parent"), "link") for joint in floating}
-    for name in parents - children:
+    for joint in floating:
+        name = get(joint.find("parent"), "link")
         link = links.get(name)
-        if link is None or link.findall("*") or "world" in links:
-            continue
-        link.set("name", "world")
-        for parent in document.root.findall("joint/parent"):
-            if parent.get("link") == name:
-                parent.set("link", "world")
-        return
+        if name not in children and link is not None and not link.findall("*"):
+            return str(name)
+    return _WORLD
+
+
+def free_joint_error(label: str) -> ModelError:
+    """Return the error of a free joint that carries the arm."""
+    return ModelError(
+        f"free joint {label} carries the arm, whose base may move anywhere; if the arm stands on "
+        f"something, {option_name('fix_base')} welds it where the model has it",
+        [("--fix-base",)],
+    )
+
+
+def _floating_below_links(document: ModelDocument) -> list[Node]:
+    """Return the floating joints that MuJoCo does not take: below a link that is not its world, or
+    above a link that has the world's name.
+    """
+    joints = document.root.findall("joint[@type='floating']")
+    world = _name_of_world(document)
+    return [
+        joint
+        for joint in joints
+        if get(joint.find("parent"), "link") != world
+        or get(joint.find("child"), "link") == _WORLD
+    ]
+
+
+def weld_floating(document: ModelDocument) -> list[str]:
+    """Make floating joints fixed where MuJoCo takes none, and return their names.
+
+    A link of the world's name that is no first one gets another name, which MuJoCo would put all
+    that it carries in the world by.
+    """
+    welded = _floating_below_links(document)
+    if any(get(joint.find("child"), "link") == _WORLD for joint in welded):
+        rename_link(document, _WORLD, f"{_WORLD}_link")
+    for joint in welded:
+        joint.set("type", "fixed")
+    return [str(joint.get("name")) for joint in welded]
+
+
+def rename_link(document: ModelDocument, name: str, new_name: str) -> None:
+    """Give a link another name, and the ends of joints that are there."""
+    root = document.root
+    for end in (*root.findall("joint/parent"), *root.findall("joint/child")):
+        if end.get("link") == name:
+            end.set("link", new_name)
+    for link in root.findall("link"):
+        if link.get("name") == name:
+            link.set("name", new_name)
 
 
 def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:

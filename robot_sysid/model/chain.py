@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import AmbiguousJointError, ModelError
+from robot_sysid.mjcf.urdf import free_joint_error
 from robot_sysid.model.actuators import (
     driven_joints,
     tendon_coefficients,
@@ -107,11 +108,7 @@ def chain_to(
             continue
         label = joint_label(mj_model, link_joint)
         if link_joint in free:
-            raise ModelError(
-                f"free joint {label} carries the arm, whose base may move anywhere; if the arm "
-                f"stands on something, {option_name('fix_base')} welds it where the model has it",
-                [("--fix-base",)],
-            )
+            raise free_joint_error(label)
         raise ModelError(
             f"ball joint {label} is part of the chain to joint {joint_label(mj_model, joint)}; "
             f"{_ONLY_THESE}, so weld it or replace it"

@@ -123,12 +123,15 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
     progress.note(*dict.fromkeys(warnings))
 
 
-def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
+def compile_model(
+    model: Any, mesh_dir: Any = None, fix_base: bool = False
+) -> CompiledModel:
     """Compile an MJCF or URDF file, or raise ModelError with one line on why not.
 
     Args:
         model: path of the file; an MjSpec or MjModel is taken with all its digits.
         mesh_dir: folder that replaces the file's own for meshes (and, in a URDF, its packages).
+        fix_base: whether floating joints of a URDF that MuJoCo does not take are fixed.
     """
     if is_in_memory(model):
         mj_model = _compile_spec(model) if _is_spec(model) else model
@@ -148,7 +151,7 @@ def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
     find_assets(document)
     massless = links_without_mass(document) if document.is_urdf else frozenset()
     with captured_warnings() as warnings:
-        mj_model, notes = _compile(document, warnings)
+        mj_model, notes = _compile(document, warnings, fix_base)
     _check_values(mj_model, document)
     return CompiledModel(
         in_joints(mj_model),
@@ -172,7 +175,7 @@ def compile_as_drawn(model: Any, mesh_dir: Any = None) -> Any:
     document = read_document(Path(model), mesh_dir)
     if not document.is_urdf:
         return None
-    make_compilable(document)
+    make_compilable(document, fix_base=True)
     if not collide_as_drawn(document):
         return None
     give_minimum(document)
@@ -189,7 +192,7 @@ def in_joints(mj_model: Any) -> Any:
 
 
 def _compile(
-    document: ModelDocument, warnings: Sequence[str]
+    document: ModelDocument, warnings: Sequence[str], fix_base: bool
 ) -> tuple[Any, tuple[str, ...]]:
     """Return a document, which may be changed, compiled, and notes on what was changed.
 
@@ -202,7 +205,7 @@ def _compile(
     is_changed = True
     if document.is_urdf:
         try:
-            notes = make_compilable(document)
+            notes = make_compilable(document, fix_base)
             inertias = link_inertias(document)
         # Of a nan there are no eigenvalues; older NumPy has an error of its own for that.
         except (ValueError, TypeError, np.linalg.LinAlgError) as error:
@@ -339,7 +342,8 @@ def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
     model does not compile.
     """
     mjcf = lasting_folder() / "model.xml"
-    mj_model = compile_model(path, mesh_dir).mj_model
+    # A floating joint that MuJoCo does not take has been fixed by whoever loaded the model.
+    mj_model = compile_model(path, mesh_dir, fix_base=True).mj_model
     # MuJoCo writes only the last model that was loaded.
     with captured_warnings():
         mujoco.mj_saveLastXML(str(mjcf), mj_model)

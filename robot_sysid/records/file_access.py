@@ -94,6 +94,8 @@ _TOO_DEEP = f"lists or tables lie more than {_MOST_NESTING} deep within each oth
 # before, and reading them takes time by the square of their number.
 _KEY_ENDS = re.compile(r"[=,{}\[\]\n]")
 _MOST_DOTS = 4 * _MOST_NESTING
+# Digits from which on an integer is larger than any number that is read, or infinite.
+_MOST_DIGITS = 300
 # First line of a file that Git LFS leaves in the place of a large one.
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 
@@ -187,7 +189,7 @@ def read_json(path: Path, remedy: str) -> Any:
     """
     text = read_text(path, remedy)
     try:
-        content = json.loads(text, parse_int=_number_of_digits)
+        content = json.loads(text, parse_int=number_of_digits)
         _refuse_odd(content)
     except (ValueError, RecursionError) as error:
         raise InputError(
@@ -196,9 +198,12 @@ def read_json(path: Path, remedy: str) -> Any:
     return content
 
 
-def _number_of_digits(digits: str) -> int | float:
-    """Return the integer that digits state, infinite where no float is that large: 1.8e308."""
-    return int(digits) if len(digits) < 300 else float(digits)
+def number_of_digits(digits: str) -> int | float:
+    """Return the integer that digits state, infinite where no float is that large: 1.8e308.
+
+    Python itself refuses more than some thousand digits, with advice on its own settings.
+    """
+    return int(digits) if len(digits) < _MOST_DIGITS else float(digits)
 
 
 def read_toml(path: Path) -> Mapping[str, Any]:
@@ -213,13 +218,21 @@ def read_toml(path: Path) -> Mapping[str, Any]:
             raise ValueError(_TOO_DEEP)
         content = tomllib.loads(text)
         _refuse_odd(content)
-    except (ValueError, RecursionError) as error:
+    except tomllib.TOMLDecodeError as error:
         raise InputError(f"cannot read {path}: {error_text(error)}") from None
+    except (ValueError, RecursionError) as error:
+        fault = error_text(error)
+        # Python's own message of it has advice on Python.
+        longest = max(map(len, re.findall(r"[\d_]+", text)), default=0)
+        if longest >= _MOST_DIGITS and "digits" in fault:
+            fault = f"an integer has {longest} digits; correct it"
+        raise InputError(f"cannot read {path}: {fault}") from None
     return content
 
 
 def _refuse_odd(content: Any) -> None:
-    """Raise ValueError where a content lies too deep, or a text in it has a character zero.
+    """Raise ValueError where a content lies too deep, an integer is larger than any float, or a
+    text has a character zero.
 
     No path and no name has one; the system ends a text there, and shows another one.
     """
@@ -233,6 +246,8 @@ def _refuse_odd(content: Any) -> None:
                 below += value
             elif isinstance(value, str) and "\0" in value:
                 raise ValueError(f"the text {value!r:.60} holds a character zero")
+            elif isinstance(value, int) and abs(value) >= 10**_MOST_DIGITS:
+                raise ValueError(f"an integer has more than {_MOST_DIGITS} digits")
         if not below:
             return
         level = below

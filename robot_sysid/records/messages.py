@@ -24,12 +24,32 @@ _CONTROL_CODES = (
     *range(0x2028, 0x202F),
     *range(0x2066, 0x206A),
 )
-_REPLACEMENTS = {code: "?" for code in _CONTROL_CODES if chr(code) != "\t"}
+# Characters that nobody sees: marks of the order of bytes and of text, soft hyphens, joiners and
+# blanks without width, and choices of a character's form.
+_INVISIBLE_CODES = (
+    0xAD,
+    0x34F,
+    0x61C,
+    0x180E,
+    *range(0x200B, 0x2010),
+    *range(0x2060, 0x2066),
+    *range(0x206A, 0x2070),
+    *range(0xFE00, 0xFE10),
+    0xFEFF,
+    *range(0xFFF9, 0xFFFC),
+)
+_NOTHING = dict.fromkeys(
+    (*_INVISIBLE_CODES, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+)
+_REPLACEMENTS = {
+    **{code: f"\\u{code:04x}" for code in _INVISIBLE_CODES},
+    **{code: "?" for code in _CONTROL_CODES if chr(code) != "\t"},
+}
 _ESCAPES = {code: f"\\u{code:04x}" for code in _CONTROL_CODES}
 # Of a word for a shell; the byte of a path that is no UTF-8 is kept in a surrogate.
 _SHELL_ESCAPES = {
     **{code: f"\\x{code:02x}" for code in range(128) if code in _CONTROL_CODES},
-    **{code: f"\\u{code:04x}" for code in _CONTROL_CODES if code >= 128},
+    **{c: f"\\u{c:04x}" for c in (*_CONTROL_CODES, *_INVISIBLE_CODES) if c >= 128},
     **{0xDC00 + byte: f"\\x{byte:02x}" for byte in range(128, 256)},
     ord("'"): "\\'",
     ord("\\"): "\\\\",
@@ -37,8 +57,15 @@ _SHELL_ESCAPES = {
 
 
 def printable(text: str) -> str:
-    """Return a text with "?" in the place of control characters and ends of lines."""
+    """Return a text with "?" in the place of control characters and ends of lines, and with the
+    codes of characters that nobody sees.
+    """
     return text.translate(_REPLACEMENTS)
+
+
+def visible(text: str) -> str:
+    """Return a text without the characters that nobody sees."""
+    return text.translate(_NOTHING)
 
 
 def quoted_text(text: str) -> str:

@@ -152,3 +152,23 @@ def test_a_factor_on_weight_that_is_not_stated_refuses_nothing(
     assert found.level is level
     assert bool(found.options) == (level is Level.REFUSES)
     assert found.is_common_factor
+
+
+@pytest.mark.parametrize(
+    ("factor", "error", "named"),
+    [
+        (1000.0, 0.2, "(as in mN·m)"),
+        (149.8, 0.02, "(as in ozf·in)"),
+        # Counts of a driver, which are no unit.
+        (149.8, 0.18, "N·cm .* or ozf·in .*, which the ± does not tell apart"),
+        (9.4, 0.02, "kgf·cm .* or lbf·in"),
+        (30.0, 0.05, "they may be motor currents or counts;"),
+    ],
+)
+def test_a_unit_is_named_where_the_error_leaves_no_other(
+    four_joints, factor, error, named
+):
+    found = common_finding(four_joints.robot, factor, error, EVIDENCE)
+    pattern = re.escape(named) if named.startswith("(") else named
+    assert re.search(pattern, f"{found.text}; {found.remedy}")
+    assert ("(as in" in found.remedy) == named.startswith("(as in")

@@ -10,6 +10,7 @@ from rigs.files.model_files import ARM, document_of, make_pipe, write_files
 from rigs.files.refusals import refused
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import read_document
+from robot_sysid.parser import load_robot_model
 
 BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"
 LAUGHS = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]>
@@ -30,7 +31,7 @@ def names(path):
         (b"\x89PNG\r\n\x1a\n\x00\xff", "Expected an XML model file"),
         (ARM[:200].encode(), "Expected an XML model file, but .* is not XML"),
         (LAUGHS.encode(), "declares XML entities"),
-        (OUTSIDE.encode("utf-16"), "is not XML"),
+        (OUTSIDE.encode("utf-16"), "declares XML entities"),
         (b"<mujoco>" * 300, "not XML: Excessive depth"),
         (b"<default/>", "is a fragment, not a whole model: its root is <default>"),
         (b"<mujoco/>", "is a fragment, not a whole model: no <worldbody>"),
@@ -55,6 +56,45 @@ def test_a_folder_and_a_missing_file_are_one_line(tmp_path):
         read_document(tmp_path / "nothing.xml")
     with refused("cannot read"):
         read_document(tmp_path / "a\0b")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "declared"),
+    [
+        ("utf-16", "UTF-16"),
+        ("utf-16-le", "UTF-16"),
+        ("utf-16-be", ""),
+        ("utf-32", "UTF-32"),
+        ("utf-32-le", ""),
+        ("utf-8-sig", "UTF-8"),
+        # What a program declares that writes its texts as UTF-8.
+        ("utf-8", "UTF-16"),
+        ("utf-16", "UTF-8"),
+        ("shift_jis", "Shift_JIS"),
+        ("iso2022_jp", "ISO-2022-JP"),
+        ("gb18030", "GB18030"),
+        ("cp037", "IBM037"),
+    ],
+)
+def test_a_model_is_read_in_any_encoding_that_xml_has(tmp_path, encoding, declared):
+    name = "arm" if encoding == "cp037" else "\u95a2\u7bc0"
+    text = ARM.replace('name="tool"', f'name="{name}"')
+    head = f"<?xml version='1.0' encoding='{declared}'?>" if declared else ""
+    path = tmp_path / "m.xml"
+    path.write_bytes((head + text.lstrip()).encode(encoding))
+    assert name in names(path)
+    assert (
+        load_robot_model(path).n_joints
+        == load_robot_model(write_files(tmp_path, {"plain.xml": ARM})).n_joints
+    )
+
+
+@pytest.mark.parametrize("declared", ["no-such", "rot13", "zlib", "undefined", "idna"])
+def test_a_declaration_of_no_encoding_is_no_error(tmp_path, declared):
+    path = tmp_path / "m.xml"
+    head = f"<?xml version='1.0' encoding='{declared}'?><!-- \xe9 -->"
+    path.write_bytes((head + ARM).encode("latin-1"))
+    assert "tool" in names(path)
 
 
 @pytest.mark.parametrize(

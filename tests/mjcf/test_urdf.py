@@ -10,6 +10,7 @@ from rigs.files.refusals import refused
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.updated_model import ModelChange, changed_model_text
 from robot_sysid.mjcf.urdf import inertia_increases, make_compilable
 from robot_sysid.parser import load_robot_model
 
@@ -190,3 +191,32 @@ def test_a_floating_root_is_held_where_the_user_says_so(tmp_path, root):
         load_robot_model(path)
     robot = load_robot_model(path, fix_base=True)
     assert robot.joint_names == ("base_l1", "l1_l2")
+
+
+@pytest.mark.parametrize(
+    ("links", "ends"),
+    [
+        # The first link has a mass, so that it is no world.
+        ({"odom": urdf.inertial()}, ("odom", "base")),
+        ({"map": "", "world": ""}, ("map", "world")),
+        ({"map": "", "odom": ""}, ("odom", "base")),
+    ],
+)
+def test_a_floating_root_that_mujoco_does_not_take_is_held_too(tmp_path, links, ends):
+    """The written model has it fixed, so that it loads."""
+    parts = [urdf.serial({"l1": urdf.inertial(), "l2": urdf.inertial()})]
+    parts += [urdf.link(name, content) for name, content in links.items()]
+    parts.append(urdf.joint(*ends, "floating"))
+    names = [*links, "base"]
+    for pair in zip(names, names[1:]):
+        if pair != ends:
+            parts.append(urdf.joint(*pair, "fixed"))
+    path = write_files(tmp_path, {"arm.urdf": urdf.robot(*parts)})
+    with refused(f"free joint {'_'.join(ends)} carries.*--fix-base", ModelError):
+        load_robot_model(path)
+    robot = load_robot_model(path, fix_base=True)
+    assert robot.joint_names == ("base_l1", "l1_l2")
+    assert any("is fixed, in a written model too" in note for note in robot.notes)
+    change = ModelChange((), rmse=0.0)
+    path.write_bytes(changed_model_text(path, change, tmp_path))
+    assert load_robot_model(path).joint_names == robot.joint_names
