@@ -45,7 +45,7 @@ def check_printed() -> None:
 
 def check_files() -> None:
     """Check that exactly the result files exist and the model loads with the identified mass."""
-    written = sorted(path.name for path in Path("sysid_output").iterdir())
+    written = sorted(path.name for path in Path("sysid_output").glob("[!.]*"))
     assert written == ["params.json", "run.toml", "updated_model.xml"], written
     inputs = {"printed.txt", "errors.txt", "examples"}
     outputs = {path.name for path in Path().iterdir()} - inputs

@@ -42,7 +42,17 @@ Accept = Literal[
 Torques = Literal["chain", "terminal"]
 Keep = Literal["friction", "rotors", "gravity", "links"]
 Cards = Literal[
-    "all", "isaaclab", "mjlab", "newton", "genesis", "drake", "pinocchio", "bam"
+    "all",
+    "isaaclab",
+    "mjlab",
+    "newton",
+    "genesis",
+    "drake",
+    "pinocchio",
+    "bam",
+    "i2rt",
+    "openarm",
+    "axol",
 ]
 PayloadCards = Literal[
     "auto",
