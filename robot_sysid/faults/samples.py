@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.faults import Finding
-from robot_sysid.faults.stretches import MANY_VALUES, ROUNDED, failed_sensors, leave_out
+from robot_sysid.faults.stretches import (
+    MANY_VALUES,
+    failed_sensors,
+    held_length,
+    leave_out,
+)
 from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import SURE
@@ -84,6 +89,9 @@ SATURATED = 0.005
 """Share of samples at one value, the end of the range, above which a sensor saturates: right logs
 have 0.002 at most, where torque is read in steps of 0.1 N m, and sensors that saturate 0.1 to 0.2.
 """
+MOST_VISITS = 2
+"""Times that a channel that is held, and so has few readings, comes to the end of its range by
+chance, as one that is rounded may."""
 NEAR_ZERO = 0.02
 """Torque that is next to none, as a share of the joint's largest."""
 MOST_TOUCHES = 5
@@ -261,16 +269,20 @@ def saturation_findings(
     torques = [piece.tau[~piece.is_left_out] for piece in pieces]
     held = held_samples(pieces, "tau")
     channels = np.concatenate(torques).T
-    for name, values, visit in zip(robot.joint_names, channels, held):
-        if len(np.unique(values)) < MANY_VALUES:
+    for name, channel, length in zip(robot.joint_names, channels, held):
+        if len(np.unique(channel)) < MANY_VALUES:
             continue
+        values, numbers = readings(channel, length)
+        total = np.sum(numbers)
         near = NEAR_END * np.ptp(values)
         for end in (np.min(values), np.max(values)):
-            # One sample is at the end of any range, for as long as it is held.
-            count = np.sum(values == end) - visit
-            others = np.sum(np.abs(values - end) < near) - count
-            if count > max(SATURATED * len(values), AT_END_OVER_NEAR * others):
-                share = percent(count / len(values))
+            is_end = values == end
+            # One reading is at the end of any range, and a slow driver may repeat it by chance.
+            count = np.sum(numbers[is_end]) - 1
+            others = np.sum(numbers[np.abs(values - end) < near]) - count
+            is_often = length == 1 or np.count_nonzero(is_end) > MOST_VISITS
+            if is_often and count > max(SATURATED * total, AT_END_OVER_NEAR * others):
+                share = percent(count / total)
                 unit = torque_unit(name in robot.slides)
                 text = (
                     f"the torque of joint {name} is exactly {end:.4g} {unit}, the end of its "
@@ -286,24 +298,19 @@ def saturation_findings(
 
 
 def held_samples(pieces: Sequence[Recording], quantity: str) -> NDArray[np.int64]:
-    """Return for how many samples each joint's ``q`` or ``tau`` (n,) is held between two changes.
-
-    A slow driver gives each number several times. What comes in coarse steps repeats by chance, and
-    goes on to the next step: it is not held.
-    """
+    """Return for how many samples the ``q`` or ``tau`` of each joint (n,) is held."""
     columns = [getattr(piece, quantity).T for piece in pieces]
-    held = np.ones(len(columns[0]), dtype=np.int64)
-    for joint, own in enumerate(zip(*columns)):
-        values = np.unique(np.concatenate(own))
-        if len(values) < 2:
-            continue
-        changes = [*map(np.diff, own)]
-        sizes = np.abs(np.concatenate(changes))
-        is_jumping = np.median(sizes[sizes > 0.0]) > ROUNDED * np.min(np.diff(values))
-        gaps = np.concatenate([np.diff(np.flatnonzero(each)) for each in changes])
-        if is_jumping and len(gaps):
-            held[joint] = np.median(gaps)
-    return held
+    return np.array([held_length(channel) for channel in zip(*columns)], dtype=np.int64)
+
+
+def readings(values: Array, held: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return (values (K,), numbers of readings (K,)) of the visits of a channel (N,) to a value.
+
+    ``held``: samples for which a reading is held; a slow driver may hold one somewhat longer.
+    """
+    starts = np.flatnonzero(np.append(True, np.diff(values) != 0.0))
+    lengths = np.diff(np.append(starts, len(values)))
+    return values[starts], np.maximum(1, np.round(lengths / held)).astype(np.int64)
 
 
 def rate_findings(robot: RobotModel, pieces: Sequence[Recording]) -> Iterator[Finding]:

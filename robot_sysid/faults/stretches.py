@@ -54,7 +54,8 @@ def held_torques(
     values = np.unique(tau)
     if len(values) < MANY_VALUES:
         return
-    ends = values[0], values[-1]
+    # Of a slow driver the largest reading repeats as long as any other one.
+    ends = () if held_length([tau]) > 1 else (values[0], values[-1])
     least = ROUNDED * np.min(np.diff(values))
     changes = np.abs(np.diff(tau, prepend=tau[0], append=tau[-1]))
     for rows in equal_runs(piece.time, tau):
@@ -65,6 +66,22 @@ def held_torques(
         if np.ptp(q[rows]) >= STANDING * length:
             is_end = tau[rows.start] in ends
             yield FaultName.SATURATED if is_end else FaultName.HELD, rows
+
+
+def held_length(columns: Sequence[Array]) -> int:
+    """Return for how many samples a channel, (N,) of each piece, is held between two changes.
+
+    A slow driver gives each number several times. What comes in coarse steps repeats by chance, and
+    goes on to the next step: it is not held.
+    """
+    values = np.unique(np.concatenate(columns))
+    if len(values) < 2:
+        return 1
+    changes = [*map(np.diff, columns)]
+    sizes = np.abs(np.concatenate(changes))
+    is_jumping = np.median(sizes[sizes > 0.0]) > ROUNDED * np.min(np.diff(values))
+    gaps = np.concatenate([np.diff(np.flatnonzero(each)) for each in changes])
+    return int(np.median(gaps)) if is_jumping and len(gaps) else 1
 
 
 def leave_out(

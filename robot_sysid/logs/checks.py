@@ -154,7 +154,7 @@ def read_recording(
         recording, cut_notes = cut_at_lost_rows(table, recording, lines)
         notes += [*spike_notes, *cut_notes]
         require_no_jumps(table, recording, lines)
-        notes += rest_notes(recording, robot)
+        notes += [*turn_notes(recording, robot, columns), *rest_notes(recording, robot)]
         notes += torque_notes(recording)
         require_one_clock(recording)
     return replace(recording, notes=tuple(notes))
@@ -600,6 +600,36 @@ def jump_sizes(recording: Recording) -> Array:
     """Return the way (N - 1, 1) that no joint makes in each step; noise adds to it."""
     most = np.maximum(SMALLEST_JUMP, JUMP_SPEED * np.diff(recording.time))
     return np.asarray(most[:, None])
+
+
+def turn_notes(
+    recording: Recording, robot: RobotModel, columns: ColumnMap
+) -> Iterator[str]:
+    """Yield a note on the hinges whose positions lie whole turns outside of their limits.
+
+    Their links are where they would be within them; a spring or a cable is not.
+    """
+    limits = robot.limits
+    lines = []
+    for joint in np.flatnonzero(~robot.is_slide).tolist():
+        lower, upper = float(limits.lower[joint]), float(limits.upper[joint])
+        least = float(np.min(recording.q[:, joint]))
+        most = float(np.max(recording.q[:, joint]))
+        is_outside = least > upper or most < lower
+        if not (is_outside and np.isfinite(upper - lower)):
+            continue
+        shift = _TURN * round((least + most - lower - upper) / (2.0 * _TURN))
+        if lower <= least - shift and most - shift <= upper:
+            column = columns.position[joint]
+            # Of a joint that stands still there is no column.
+            zero = column.zero + shift / (column.factor or 1.0)
+            lines.append(f"zero.{robot.joint_names[joint]} = {zero:.6g}")
+    if lines:
+        yield (
+            "positions are whole turns outside of the joints' limits, where links are as within "
+            "them, and springs and cables are not; to take the turns off, write "
+            f"'{', '.join(lines)}' in {option_name('columns')}"
+        )
 
 
 def rest_notes(recording: Recording, robot: RobotModel) -> Iterator[str]:

@@ -195,6 +195,24 @@ def test_the_largest_torque_of_a_short_log_does_not_saturate():
     assert list(saturation_findings(arm_of(JOINTS), [short])) == []
 
 
+@pytest.mark.parametrize("is_clipped", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slow_driver_saturates_where_it_comes_to_the_end_again_and_again(
+    four_joints, seed, is_clipped
+):
+    """Its largest reading is repeated, as every other one, by chance somewhat longer."""
+    log = four_joints.log
+    tau = log.tau
+    if is_clipped:
+        tau = np.clip(tau, *np.quantile(tau, (0.1, 0.9), axis=0))
+    waits = np.random.default_rng(seed).exponential(20.0, len(tau)).astype(int)
+    times = np.append(0, np.cumsum(waits))
+    last = np.searchsorted(times, np.arange(len(tau)), side="right") - 1
+    held = replace(log, tau=tau[times[last]])
+    found = [*saturation_findings(four_joints.robot, [held])]
+    assert bool(found) == is_clipped
+
+
 def with_two_signs(joints):
     """Return the recording with torques of some joints about zero, and of the others above it."""
     tau = NOISY.tau - np.mean(NOISY.tau, axis=0)

@@ -300,6 +300,24 @@ def test_what_is_odd_about_a_log_is_said(tmp_path, name):
     assert re.search(words, notes_of(read_table(tmp_path, fault(table(motion())))))
 
 
+def test_positions_whole_turns_outside_of_the_limits_are_noted(tmp_path):
+    """The line that takes the turns off does so."""
+    rows = table(motion())
+    rows[:, 1:4] = np.degrees(rows[:, 1:4])
+    rows[:, 2] -= 720.0
+    titles = [f"{t} [deg]" if t.startswith("q") else t for t in TITLES]
+    path = write(tmp_path / "turned.csv", rows, titles)
+    said = notes_of(read_measurements(path, JOINTS, limits(1.5)))
+    assert "whole turns outside of the joints' limits" in said
+    line = re.search("'(zero.elbow = -720)' in --columns|'(zero.*?)' in columns", said)
+    assert line
+    right = read_measurements(
+        path, JOINTS, limits(1.5), columns=next(filter(None, line.groups()))
+    )
+    np.testing.assert_allclose(right.q, motion().q, atol=1e-9)
+    assert "whole turns" not in notes_of(right)
+
+
 def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path):
     titles = (*TITLES, *(f"{joint}_time" for joint in JOINTS))
     rows = table(motion())
