@@ -27,9 +27,8 @@ SLOWEST = 0.2
 FASTER = 2.0
 """Times the log's speed of a joint from which its friction is taken to be unknown there."""
 GAIN = 0.8
-"""Share of the expected error that a further motion has to bring it to, to be proposed: four of
-five files of 24 second logs were 0.6 to 1.5 times as far off as was expected of them, so that less
-may be no gain."""
+"""Share of the expected error that a further motion has to bring it to, to be proposed: files are
+as far off as is expected within a factor, so that less may be no gain."""
 AS_GOOD = 1.1
 """Times the least error after a further motion up to which one that costs less is as good."""
 
