@@ -67,7 +67,7 @@ SERIAL_ADAPTER = "damiao"
 """Interface name of the maker's serial adapter."""
 # Longest time for which a driver may wait to send a frame [s].
 #
-# It is more than a busy computer makes a program wait (a cycle may be 20 ms late), and less than
+# It is more than a busy computer makes a program wait, and less than
 # motors on another bus can wait for their next command: watchdogs take 0.1 s or more.
 _SEND_TIMEOUT = 0.05
 _QUEUE_PATIENCE = 1.5e-3

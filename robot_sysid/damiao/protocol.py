@@ -426,10 +426,10 @@ PLANNING_LIMIT = 0.70
 A judgement: the rest is for error frames and for sending one frame in three again.
 """
 CLASSIC_RATE = 250.0
-"""Default control cycles per second on classic CAN [Hz]: seven motors take 40 to 47 % of such a
-bus."""
+"""Default control cycles per second on classic CAN [Hz]: seven motors take less than half of such
+a bus."""
 FD_RATE = 500.0
-"""The same on CAN-FD [Hz]: seven motors take 36 to 40 % of it."""
+"""The same on CAN-FD [Hz]: seven motors take less than half of it, too."""
 # Placeholder and condition of the bit rate options in the help text.
 _BIT_RATE = "RATE [bit/s] > 0"
 

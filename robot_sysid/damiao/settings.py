@@ -58,7 +58,7 @@ STIFFNESS_PER_TORQUE = 20.0
 stiffness of 240 N m/rad and a damping of 5 N m s/rad for motors with a rated torque of 9 N m, 10
 and 1.5 for 3 N m; the defaults are between these."""
 DAMPING_PER_STIFFNESS = 0.025
-"""Default damping over stiffness [s]: between 0.02 and 0.15 of the same arms."""
+"""Default damping over stiffness [s]: within the range of the same arms."""
 LEAST_DAMPING_SHARE = 0.4
 """Least share of the default damping that a light joint keeps, as models often lack rotor
 inertia."""
@@ -93,8 +93,8 @@ class PlaySettings(OptionRecord):
             and again would play to the end.
         max_doubted: number of answers in a row that cannot be true, which stop the run: single
             damaged frames pass.
-        max_lateness: largest delay of a control cycle [s]: far more than a busy computer's pauses
-            (99 % are shorter than 1.3 ms), far less than a watchdog's time.
+        max_lateness: largest delay of a control cycle [s]: far more than most pauses of a busy
+            computer, far less than a watchdog's time.
         ramp_time: time in which the gains are raised [s]; short, because the arm sinks meanwhile
             under a load that the feed-forward torque does not include.
         approach_time: least duration of the transfer to the first point [s].

@@ -14,8 +14,8 @@ speed ``top`` it is, beside dry and viscous friction,
 
 whose slope 3 bend (1 - |u|)^2 / top is nowhere negative: it flattens towards ``top`` and never
 falls, so that no value of ``bend`` drives a joint. It is what a joint's ``damping="a b c"`` holds,
-a qd + b qd |qd| + c qd^3 (MuJoCo 3.7), and one number: three free ones fit a log as well and are up
-to ten times as wrong at other speeds (a KUKA LWR4+: 39 % in place of 3).
+a qd + b qd |qd| + c qd^3 (MuJoCo 3.7), and one number: three free ones fit a log as well and are
+many times as wrong at other speeds.
 
 Sources: Coulomb, viscous and Stribeck terms as in Armstrong-Helouvry, Dupont, Canudas de Wit,
 "A survey of models, analysis tools and compensation methods for the control of machines with

@@ -71,13 +71,12 @@ from robot_sysid.records.parameters import ZERO
 from robot_sysid.signals.process import FilteredRecording
 
 MOST_OF_ZERO = SURE * 1e-3 * usual_errors.WRONG_ZERO
-"""Zero from which on it stands for something else: one that is really so far off leaves torque that
-centres of mass do not take up. In a published log two of 16 and 24 degrees stood for links [rad].
-"""
+"""Zero from which on it stands for something else, such as wrong links: one that is really so far
+off leaves torque that centres of mass do not take up [rad]."""
 ODD_ZERO = 2.5
 """Least gain in the log evidence at which a joint's zero is taken to be far more off than usual, as
-for a link's mass (``links.ODD``): right logs gain 0.5 at most, 3 degrees at a shoulder, of which
-centres of mass hide most, 3.5 or more."""
+for a link's mass (``links.ODD``): right logs gain far less, and a wrong zero of a shoulder, of
+which centres of mass hide most, more."""
 # Shows nothing.
 _SILENT = Progress()
 # What is shown of the way to an answer.

@@ -41,8 +41,7 @@ LEAST_USED = 1.0 / 3.0
 """Share of a window's rows that have to be used; below it the others count as zero."""
 AT_TURNS = 1.4
 """Residuals near turns, over those elsewhere, from which on friction turns round late: sensors
-behind the gears of a KUKA LWR4+ most often show 0.6 to 1.3, motor currents of a UR10e 1.6 to
-3.5."""
+behind the gears see little of it, motor currents much."""
 LEAST_ORDINARY = 0.005
 """Least ordinary size, as a share of a joint's torque: no joint is more right than that."""
 LEAST_TORQUE = 0.02

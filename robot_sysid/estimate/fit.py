@@ -253,7 +253,7 @@ class Fit(Problem):
         A parameter's formal error is raised to that of the jackknife where that is larger. What
         torque scales do to a payload is the same in all blocks, and is added as it is. Rotors and
         friction are confounded with the scale of their joint's sensor: without the factor on it,
-        rotors of simulated arms are 1.25 of their errors off (root mean square; 1.19 with it).
+        rotors of simulated arms are farther off than stated.
         """
         formal = np.diag(self.inverse)
         raised = np.sqrt(np.maximum(self.jackknife / np.maximum(formal, 1e-300), 1.0))
@@ -642,7 +642,7 @@ def settled_values(fitted: Fit) -> dict[str, float]:
     """Return the names of all parameters to their values, the last link kept near the model's.
 
     It is at most as far off as nothing known of it allows (``last_link_scale``): a log in which the
-    last joint stands still lets its inertia free, and noise alone has made it 200 kg m^2.
+    last joint stands still lets its inertia free, and noise alone would decide it.
     """
     values = dict(fitted.by_name)
     at, wide, inverse = _settled(fitted)

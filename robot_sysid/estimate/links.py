@@ -30,9 +30,8 @@ axis it makes no torque, and along the link it is confounded with the masses beh
 is the direction in which it is off for sure by most (``centre_off``). One that is off by more than
 a part of the link (a wrong sign, or another frame) counts as not known as well, by its distance and
 not by evidence: a centre and its inertia that are free cost nine numbers. Without that a forearm's
-centre with the wrong sign came out 8 to 31 stated errors off, and with it 3.1 at most. No inertia
-is told: with those of two links a tenth of the true ones, none of twelve logs of four arms gains
-0.1 in the log evidence by freeing one, and right logs gain 0.9.
+centre with the wrong sign came out many stated errors off. No inertia is told: freeing a wrong one
+gains less log evidence than freeing a right one.
 
 Of the mistakes that a model may have in its links (``model.mistakes``), one or two at once are
 compared by the evidence with other reference bodies. Which are likely is seen with the links'
@@ -74,27 +73,25 @@ between its ends."""
 
 
 ODD = 2.5
-"""Least gain in the log evidence at which one mass is taken to be far off: of 52 right logs of six
-arms, one link 40 % off, none gains more than 1.9; a forearm with a quarter of its mass gains 3 to
-14 in five of eight. Of 16 logs whose torques are all 0.7 or 1.4 times the true ones, none gains
-more than 1.8 over an error of all masses."""
+"""Least gain in the log evidence at which one mass is taken to be far off: more than right logs
+gain, also with one link as wrong as it may be, or with all torques in another scale, and less than
+most forearms gain whose mass is a fraction of the true one."""
 COMMON = 0.5
 """Error of all masses together, as a share of them, that is compared with one odd mass."""
 
 
 ODD_AMONG_USUAL = 4.0
 """The same with the other links as far off as they usually are, which one mass that is far off does
-not hide: right logs of five arms gain 1.9 at most, a forearm ten times too heavy 6.0 to 8.1."""
+not hide: between what right logs gain and what a forearm that is ten times too heavy does."""
 ODD_OVER_COMMON = 0.5
-"""Least difference to the gain of an error of all masses then: a forearm ten times too heavy has
-0.7 to 5.6; of 52 logs with a common factor of 0.4 to 2.7 that gain as much one has 1.9, others 0.2.
-"""
+"""Least difference to the gain of an error of all masses then: more than logs with a common factor
+have, as good as always, and less than a forearm that is ten times too heavy has."""
 ODD_ALONE = 3.0
 """The same difference from which on the mass alone is the cause, and no factor."""
 FAR_OFF_CENTRE = 0.15
-"""Share of a link's size by which its centre of mass is off for sure, to count as not known. The
-upper arm of a UR10e is 0.12 off its maker's own table; of 133 right logs of six arms none shows
-more than 0.123; a forearm's centre with the wrong sign shows more in 12 of 20, up to 0.43."""
+"""Share of a link's size by which its centre of mass is off for sure, to count as not known: more
+than right logs show, and than a maker's own table differs from the arm; a centre with the wrong
+sign often shows more."""
 COMMON_SCALES = (0.1, 0.2, 0.4)
 """Errors that all torques may share, of which the evidence chooses, as shares."""
 

@@ -191,8 +191,8 @@ def usual_offset(arm: ArmTerms, torque: Array) -> float:
     """Return how large an offset of a torque sensor usually is [N m].
 
     Sensors of an arm err by a share of what the strongest joint has. An offset without a size takes
-    over gravity where a joint sees it from one side: files of an AIRBOT Play and a Panda, 28 and
-    23 % off before, were 37 and 34 % off as they were used, by offsets of 1.4 and 9 N m.
+    over gravity where a joint sees it from one side: as they are used, files of real arms were then
+    farther off than the models before.
 
     Args:
         arm: whose sensors they are.

@@ -54,10 +54,9 @@ ROOM = 1.001
 need: an MJCF of a URDF has six digits of where they sit, which would leave none beside them."""
 WORTH = 0.01
 """Least share by which friction that bends lowers the held-out torque error, to be worth a second
-file: files of a TX40 and a UR10e gain 5 to 15 %. It is no test of significance, which would lose
-half of what bends gain on other motions: the bend of a short log is seldom clear. On other motions
-of twelve simulated arms whose gears bend, it keeps all of the gain (errors 0.895 times those of
-lines, without it 0.894); of twelve whose gears do not, files without it are 1.3 % worse."""
+file. It is no test of significance, which would lose half of what bends gain on other motions: the
+bend of a short log is seldom clear. On other motions it keeps what simulated arms gain whose gears
+bend, and spares files of gears that do not."""
 
 
 def offsets_of_model(file: Fit) -> Fit:
@@ -186,7 +185,7 @@ def bend_in_file(estimate: Fit) -> Term | None:
     """Return the term of friction that bends, of joints and motors; None where none may bend.
 
     A sensor behind the gears sees neither rotors nor the friction of gears: where no rotor is
-    ``SURE`` errors from zero, a bend would take up other torque (a KUKA LBR Med 7: 3.41 -> 3.87 %).
+    ``SURE`` errors from zero, a bend would take up other torque, and the file would be worse.
     Held-out blocks are not asked: they lose half of what bends gain on other motions.
     """
     kept = estimate.question.options.kept
@@ -283,8 +282,8 @@ def _near(estimate: Fit, term: Term, settled: Mapping[str, float]) -> Term:
 
     A file lacks terms, and its bodies would take up their torque. Errors of single parameters leave
     to the torques the combinations that they show, and hold the numbers by which one reads them:
-    other runs of a KUKA are predicted up to 8 % better than without it. Masses stay as they are:
-    what torques show is left to first moments and inertias. The numbers are ``settled_values``.
+    other runs of the arm are predicted better than without it. Masses stay as they are: what
+    torques show is left to first moments and inertias. The numbers are ``settled_values``.
     """
     at = estimate.at(term.names)
     values = np.array([settled[name] for name in term.names])

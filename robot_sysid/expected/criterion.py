@@ -11,7 +11,7 @@ covariance of all unknowns is H = A^T A + P, A the equations over their noise an
 unknown with a prior. A value with the derivative -tr(W dH) / 2 by H has -A W by A.
 
 Encoder zeros, gravity's direction and a delay are part of the predicted errors (``recording``) but
-not of this number: for two arms they are less than a twentieth of any variance.
+not of this number: they are a small part of any variance.
 """
 
 from __future__ import annotations

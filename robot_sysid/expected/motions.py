@@ -21,7 +21,8 @@ from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.trajectory import assumed_reach, random_sinusoids
 
 MOTIONS = 10
-"""Number of made-up motions: with others in their place the promise changes by 5 to 9 %."""
+"""Number of made-up motions: enough that others in their place change the promise by a few per
+cent."""
 DURATION = 20.0
 """Length of each [s], two periods of the slowest sinusoid."""
 RATE = 5.0

@@ -49,8 +49,8 @@ TYPICAL_LOAD = 0.025
 arms of this mass are rated for."""
 UNMODELLED_TORQUE = 0.002
 """Torque that the model of an arm does not explain, such as friction at reversals, over a joint's
-root mean square torque. Where a payload is weighed, all larger errors cancel and it adds to the
-noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.trust.payload_plan)."""
+root mean square torque, as of simulated arms (benchmarks.trust.payload_plan). Where a payload is
+weighed, all larger errors cancel and it adds to the noise."""
 
 # Causes of terms that each joint has.
 _OF_JOINTS = (FRICTION, FURTHER_FRICTION, SCALES)

@@ -45,9 +45,8 @@ USUAL_COUNT = 0.05
 """Number of joints that the usual spread counts as, beside those of the arm: enough for a log that
 shows one of them."""
 LEAST_SPREAD = 0.75
-"""Least spread of friction and rotors over their mean: dry friction of eight real arms has one of
-0.17 to 1.1 in these units (AIRBOT, UR10e, Kinova Gen3, TX40, Med 7, Panda, AR5, LWR4+; root mean
-square 0.75)."""
+"""Least spread of friction and rotors over their mean: root mean square of the spreads of dry
+friction in these units over the joints of real arms of several makers."""
 ROUNDS = 10
 """Rounds in which priors are learnt, after which they change by a few per cent."""
 

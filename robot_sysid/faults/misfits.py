@@ -71,8 +71,8 @@ TELLING_APART = (
 )
 """What tells a wrong zero from wrong centres of mass."""
 LATE_JOINT = 5.0
-"""Least gain in the log evidence at which the torque of one joint is late: right logs gain 0.4 at
-most, 20 ms at a shoulder 7 to 15, for weight that comes late is viscous friction but for a few
+"""Least gain in the log evidence at which the torque of one joint is late: more than right logs
+gain, and less than a late shoulder, whose weight that comes late is viscous friction but for a few
 tenths of a per cent [nats]."""
 FAR_OFF = 0.4
 """Share by which a mass is off the model's for sure, to be named for a log: one link of a right arm
@@ -87,22 +87,22 @@ FRICTION_DEVIATIONS = 3.0
 """Standard deviations of chi-square beyond its mean up to which joints have no friction."""
 OWN_MODEL = 0.02
 """Share of all torque that may be left where the torque is the model's own but for the last link:
-as much as noise. Most arms whose links are as wrong as usual leave 5 %."""
+as much as noise. Most arms whose links are as wrong as usual leave more."""
 OWN_FRICTION = 0.01
-"""The same with the model's own friction: torque of models that have some leaves 0.1 to 0.6 % with
-noise of up to 0.8 %, the nearest of 204 right logs 1.3 %."""
+"""The same with the model's own friction: torque of models that have some leaves less, noise
+included, and right logs more."""
 LEAST_FRICTION = 0.008
 """Least friction of arms, as a share of their torque: of sensors behind gears, which see bearings
 and cables alone; motors' currents have ten times as much."""
 LEAST_MEASURED = 0.032
 """Share of all torque that a fit leaves, noise included, from which on torque without friction was
-measured, by sensors behind the gears: of a Franka Panda 4.8 %, where computed torque with noise of
-its own leaves 2 %."""
+measured, by sensors behind the gears, as of a Franka Panda; computed torque with noise of its own
+leaves less."""
 SENSOR_NOISE = 0.01
 """The same of noise from sample to sample: what is computed from positions is smoother."""
 EXACT_TORQUE = 0.002
 """The same below which no torque was measured, if it has no noise from sample to sample: logs of
-real arms leave 0.9 to 5.5 %."""
+real arms leave several times as much."""
 NO_NOISE = 1e-4
 """Noise from sample to sample, as a share of all torque, that is none: 20 mN m of a large arm are
 four times as much."""

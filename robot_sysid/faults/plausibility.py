@@ -33,10 +33,10 @@ from robot_sysid.records.usual_errors import (
 
 SMALLER = 1.0 / 3.0
 """Torque scale below which all joints' torques are in another unit, whatever the links: arms whose
-links are off by 20 %, one of them by 40 %, measure at least 0.53 of the weight."""
+links are off as usual, one of them by twice as much, measure more of the weight."""
 LARGER = 5.0
 """Torque scale above which they are: the heaviest tool that an arm may carry, which its model
-lacks, makes at least one joint's weight no larger than 3.4 times."""
+lacks, makes at least one joint's weight less than so many times as large."""
 LEAST_TYPICAL = 0.02
 """Least torque of a joint that shares are taken of, as a share of the strongest joint's: a wrist
 that makes less shows mostly noise."""
@@ -55,10 +55,10 @@ LINKS_DEVIATIONS = 4.0
 the right model is there."""
 SIBLING_MASSES = 7.25
 """Factor on the stated uncertainty of masses, as the log shows it, above which the model is of
-another arm: siblings reach 6.1 to 7.7, but one right arm in forty with a link that is 40 % off 8.0.
-No torque tells these apart, but models of other arms leave more than 1 % of it unexplained."""
+another arm. Siblings reach about as much, and so may a right arm with one link that is far off. No
+torque tells these apart, but models of other arms leave a clear share of it unexplained."""
 SIBLING_CENTRES = 5.7
-"""The same of centres of mass: right arms reach 2.2, another arm 5.8 to 6.5."""
+"""The same of centres of mass: right arms reach much less, other arms more."""
 LAST_LINKS = (LAST_LINK, PAYLOAD)
 """Keys of what is free where links are compared with the model's: the last one, whatever hangs on
 it."""

@@ -92,14 +92,14 @@ ALIKE = 1.0
 CLEARLY_LESS = 0.7
 """What a correction leaves unexplained, over what is without it, below which it leaves less."""
 HALF = 0.5
-"""The same below which a reading explains what was left: exchanged wrists of a right log of a KUKA
-LWR4+ leave 0.7."""
+"""The same below which a reading explains what was left: exchanged wrists of a right log leave
+more."""
 MORE = 2.0
 """Torque that is left at a joint, over what real friction leaves, from which on its columns may be
 those of another joint."""
 OWN_GAIN = 5.0
 """Least gain in the rows of the joints that a reading blames, beyond what friction leaves [nats]:
-false readings of logs of real arms gain 3.1 and -0.3 there."""
+false readings of logs of real arms gain less there."""
 EXPLAINED = 2.5
 """What is left of a blamed joint as it came, over what is left as it is read otherwise, from which
 on that was explained, however little it is: false readings reach 1.07, true ones 4.8 to 75."""
@@ -129,14 +129,14 @@ OTHER_RATE = np.log(1.4)
 """Logarithm of a factor of time from which on it is another rate: a fault of the table, which says
 what else it may be, names smaller ones."""
 NEAR_RATIO = 0.08
-"""Relative distance within which a factor of time is such a ratio: links that are off by 15 % of
-their inertia make as much of it."""
+"""Relative distance within which a factor of time is such a ratio: links whose inertia is off as
+usual make as much of it."""
 INERTIA_OFF = 0.5
 """Share by which inertia may be off between two factors of time that are tried, about."""
 KEPT_WEIGHT = 0.7
 """Share of the model's weight, as a median of the joints, below which a balancer carries a part of
 it, which is as much inertia too much: a wrong time leaves weight as it is, and so many links are
-not 30 % lighter than in the model."""
+not so much lighter than in the model."""
 TIME_ROUNDS = 3
 """Most rounds in which a factor of time is found."""
 SAME_INERTIA = 0.05

@@ -52,12 +52,11 @@ STANDING_SPEED = 0.3
 """Speed of a step, over that of its neighbours, below which it repeats a position."""
 FEW = 0.003
 """Share of steps above which a finding is made: right logs with stamps of their samples have none,
-logs with one stale sample in a hundred 0.0074 to 0.0086."""
+logs with one stale sample in a hundred more than twice as many."""
 BY_CHANCE = 3.0
 """Steps that look so in a right log that was sampled some times a second: two in 180."""
 MUCH = 0.02
-"""Share of steps with lost samples from which on a log is refused; where a tenth of the samples are
-lost it is 0.09."""
+"""Share of steps with lost samples from which on a log is refused."""
 UNEVEN_STAMPS = 0.02
 """Typical deviation of a step's duration above which stamps are those of a slow computer: a lower
 cut-off makes up for them."""
@@ -72,8 +71,7 @@ COMPARED = 64.0
 LEAST_MOVE = 0.01
 """Squared displacement of a joint that moves enough, over that of the joint that moves most."""
 RIGHT_TIME = 0.03
-"""Error of time by velocities that is none: correct logs have 0.001, a log whose velocities pass a
-low-pass of 3 Hz has 0.028."""
+"""Error of time by velocities that is none: more than a low-pass of the velocities makes."""
 ODD_VELOCITY = 0.1
 """Error of a joint's velocities from which on it is noted."""
 CLEAR_STEP = 64.0
@@ -86,21 +84,20 @@ LONGEST_HELD = 2.0 * SURE * 1e-3 * DELAY
 NEAR_END = 0.02
 """Distance from an end of a channel's range that is near it, as a share of the range."""
 SATURATED = 0.005
-"""Share of samples at one value, the end of the range, above which a sensor saturates: right logs
-have 0.002 at most, where torque is read in steps of 0.1 N m, and sensors that saturate 0.1 to 0.2.
-"""
+"""Share of samples at one value, the end of the range, above which a sensor saturates: more than
+right logs have whose torque is read in coarse steps."""
 MOST_VISITS = 2
 """Times that a channel that is held, and so has few readings, comes to the end of its range by
 chance, as one that is rounded may."""
 NEAR_ZERO = 0.02
 """Torque that is next to none, as a share of the joint's largest."""
 MOST_TOUCHES = 5
-"""Times that a joint's torque comes down to none and is on the same side afterwards, by chance: in
-220 right logs of seven arms once at most, of sizes of currents 23 to 157 times."""
+"""Times that a joint's torque comes down to none and is on the same side afterwards, by chance:
+rarely once in a right log, again and again in sizes of currents."""
 WITH_MOTION = 0.98
 """Share of samples in which a torque has the sign of the motion that weight does not let it have:
-at one at least of the joints that carry weight, 220 right logs of seven arms have it in 0.68 of
-them at most. Arms with more friction than weight have it in all."""
+at one at least of the joints that carry weight, right logs have it in many fewer. Arms with more
+friction than weight have it in all."""
 LEAST_SPEED = 0.1
 """Speed of a joint from which on its direction is sure, as a share of its largest."""
 DIRECTION_TIME = 0.02
@@ -111,7 +108,7 @@ COMPARED_SAMPLES = 2000
 """Samples whose sign is compared with that of the motion."""
 SHOWN_WEIGHT = 0.5
 """By how much a torque grows with the model's weight, over the ratio of their means, from which on
-it is of weight: external torque grows by 0.1 to 0.5 of its mean, torque of weight by 0.7 to 1.3."""
+it is of weight: torque of weight grows with it about as much as its mean, external torque less."""
 LEAST_WEIGHT = 0.25
 """Torque of the model's weight, as a share of that of the joint that carries most, above which a
 joint carries weight."""

@@ -54,8 +54,8 @@ from robot_sysid.wording import option_name, with_option_names
 ODD = 1.4
 """Factor on all masses, or its inverse, from which on it is refused."""
 NOTED = 1.3
-"""Factor, or its inverse, from which on it is named: right logs of arms whose links are 10 to 20 %
-off, one of them 40 %, reach 0.79 +- 0.12."""
+"""Factor, or its inverse, from which on it is named: more than links that are off as usual, one of
+them by twice as much, make of right logs."""
 AGREEING = 0.1
 """Logarithm of a factor by which a joint's weight may say less than the common scale does: links
 that are off change each joint's by as much."""
@@ -75,7 +75,7 @@ NEAR_UNIT = 1.25
 MOST_MASSES = 5.0
 """Factor on all masses, or its inverse, above which no arm is."""
 ROWS = 1000
-"""Rows by which scales are found: links that are off by 10 to 20 % make most of their error."""
+"""Rows by which scales are found: links that are off as usual make most of their error."""
 ROUNDS = 8
 """Most rounds: currents in per cent, whose scales differ by a factor of ten, take four to six."""
 FOUND = 0.02
@@ -105,7 +105,7 @@ COMMON = 1.35
 """Ratio of the largest to the least scale of joints below which they have one common cause."""
 ALONE = 1.2
 """Torque scale of one joint over that of the others, or its inverse, from which on it is named by
-itself: links that are 10 to 20 % off make 1.1 of it, as every joint carries those behind it."""
+itself: links that are off as usual make half of it, as every joint carries those behind it."""
 LEAST_OTHERS = 2
 """Joints with a scale that have to agree before one other joint is blamed."""
 SENSOR = 1.6
@@ -272,7 +272,7 @@ def are_identified(scales: Array, errors: Array) -> NDArray[np.bool_]:
 def torque_scales(fitted: Fit) -> TorqueScales:
     """Return how many times the model's the torques of a log are.
 
-    Links are off as those of arms usually are: with models that are right to 5 %, right arms would
+    Links are off as those of arms usually are: with models that are nearly right, right arms would
     be clearly off. Signs are found beside the scales in torques of another unit, in which a turned
     one alone explains nothing.
     """

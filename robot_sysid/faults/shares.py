@@ -32,11 +32,11 @@ from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.parameters import Parameter
 
 LOST = 1.0 / 3.0
-"""Share of the links' weight below which a joint has lost it. Arms whose links are off by 20 %, one
-of them by 40 %, have 0.53 at least."""
+"""Share of the links' weight below which a joint has lost it. Arms whose links are off as usual,
+one of them by twice as much, have more."""
 NO_INERTIA = 0.15
 """Share of the links' inertia below which a torque has none. Time stamps that are half as far apart
-as they were leave 0.25 of it, links that are off by 20 % a fifth less."""
+as they were leave a quarter of it, links that are off as usual a fifth less."""
 OTHERWISE = 0.25
 """Torque of the share of weight that is left, over the joint's torque, below which something else
 makes the torque: in another unit, weight makes as much of it as in newton metres."""
@@ -44,7 +44,7 @@ LINKS_OFF = 0.2
 """Share by which the links that a joint carries may be off the model's."""
 MOST_LEFT = 0.15
 """Share of all torque that may be left unexplained: columns that are exchanged or turned have no
-weight of the links either, and leave most. External torque leaves 0.05, its friction's shape."""
+weight of the links either, and leave most. External torque leaves little, its friction's shape."""
 
 
 @dataclass(frozen=True)

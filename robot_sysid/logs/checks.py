@@ -52,10 +52,10 @@ MOST_INCOMPLETE = 0.05
 missing, most filter windows are still complete (chosen)."""
 LEAST_MOVED_STEP = 0.7
 """Steps of time between rows that were sorted, over the usual one, of one recording: those of two
-that lie in each other are a half, stamps that jitter by a whole step at least 0.8."""
+that lie in each other are a half, stamps that jitter by a whole step more than this."""
 MOST_MOVED_WAY = 1.25
 """Way from row to row where rows were sorted, over that in the file, with which the order in the
-file was wrong: 0.6 of two rows that were exchanged, 1.7 where only their stamps were."""
+file was wrong: less than one of two rows that were exchanged, more where only their stamps were."""
 SHORTEST_STEP = 1e-5
 LONGEST_STEP = 0.5
 """Sampling periods of a plausible unit of time [s]; rates of 1 to 1000 Hz are usual."""
@@ -82,9 +82,8 @@ BESIDE = 5
 """Steps on each side with which one is compared."""
 JUMP_OVER_BESIDE = 8.0
 """Speed of a step, over that of the fastest of those beside it and over the joint's typical one,
-above which rows are missing: as many at least. Two joints at once have it at most 2.0 in 220 right
-logs of seven arms, by steps of a coarse encoder, 3.7 where single rows are missing, and 100 to 260
-where a second is."""
+above which rows are missing: as many at least. It is several times what two joints have at once in
+right logs, by steps of a coarse encoder, and far less than where a second is missing."""
 MOST_CUTS = 10
 """Places at which rows are missing up to which a log is cut there."""
 LEAST_TRAVEL = 0.01

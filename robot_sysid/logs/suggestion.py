@@ -78,8 +78,8 @@ MOST_LISTED = 24
 """Groups, and further columns, that a message lists."""
 DYNAMICS_CORRELATION = 0.8
 """Correlation with the torque that the model needs, averaged over joints by what they carry, above
-which torques tell positions: of six arms it is 0.65 to 0.95 with positions, and at most 0.73 with
-velocities, accelerations, temperatures or other torques in their place."""
+which torques tell positions: most arms have more with positions, and none has with velocities,
+accelerations, temperatures or other torques in their place."""
 SMOOTHED_TIME = 0.1
 """Window that smooths positions before they are differentiated [s]."""
 # Cells of a first row that are numbers, times or empty, or nearly so.

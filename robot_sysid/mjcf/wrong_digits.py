@@ -23,10 +23,10 @@ LARGEST_POWER = 6
 """Largest power of ten by which a number may be wrong: that of millimetres squared."""
 SLENDER = 0.2
 """Usual moment about one axis over the mean of the other two, where these leave a power of ten
-open: geometric mean of 32 such links of public arms, half of which have 0.1 to 0.43."""
+open: geometric mean of such links of public arms."""
 PRODUCT = 0.05
-"""Usual product of inertia over the geometric mean of its two moments: of 174 products of links of
-public arms the middle half has 0.003 to 0.22."""
+"""Usual product of inertia over the geometric mean of its two moments: about the middle of links of
+public arms."""
 CLEARLY = 0.3
 """Powers of ten by which another number has to fit worse for the likeliest one to be named."""
 POSSIBLE = 1e-4

@@ -26,11 +26,10 @@ from robot_sysid.spatial import N_INERTIAL
 
 MISTAKEN = 7.0
 """Least gain in the log evidence at which a model is taken to have a mistake: the logarithm of a
-thousand, as one link in a hundred has one, which is one of about ten. Models of eight real arms
-gain 4.9 at most; a UR10e's whose forearm has a mirrored centre of mass 6.9, by another link's."""
+thousand, as one link in a hundred has one, which is one of about ten. Right models of real arms
+gain less."""
 DOUBTFUL = 2.5
-"""The same at which it may have one, for which its links allow then: right models of five arms gain
-1.3 at most (35 logs)."""
+"""The same at which it may have one, for which its links allow then: right models gain less."""
 LEAST_STEP = 0.1
 """Least distance between two centres of mass that are tried, as a share of the link's size: links
 are usually off by as much."""
@@ -57,8 +56,8 @@ LEAST_GAINS = {
     MistakeKind.EXCHANGED: (0.5 * CLEAR, CLEAR),
 }
 """Least gains of each kind. Numbers of two links that are exchanged change twenty numbers, and take
-up other errors: three fifths of an AIRBOT's log gain 6.0 by them, and with links that allow for
-that its file is worse on the rest, 10.7 % for 10.4."""
+up other errors: with links that allow for a small gain, the file of a real arm is worse on the rest
+of its log."""
 
 
 @dataclass(frozen=True)

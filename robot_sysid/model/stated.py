@@ -35,16 +35,15 @@ from robot_sysid.spatial import ROD, ROD_MOMENT
 MASS, CENTRE, INERTIA = KINDS
 LEAST_SHARE = 1e-3
 """Share of the links' median mass below which a mass is a placeholder, and of the link's size below
-which the distance of a centre of mass from its joint is one: public arms have 0.08 and 0.005."""
+which the distance of a centre of mass from its joint is one: well below those of public arms."""
 ALIKE = 3
 """Number of links with one and the same inertia from which it is a placeholder."""
 LEAST_MOMENT_SHARE = 0.2
 """Share of the mean moment of a rod of the link's size and mass below which an inertia is a
-placeholder: links of public arms have 0.26 and more."""
+placeholder: below those of links of public arms."""
 LARGEST_MOMENT_SHARE = 1000.0
-"""Mean moment of inertia over that of such a rod above which it is no link's: of 138 links of
-public models the largest has 117, the next ones 98 and 21; kg mm2 and g mm2 for kg m2 are factors
-of 1e6 and 1e9."""
+"""Mean moment of inertia over that of such a rod above which it is no link's: several times the
+largest of links of public models; kg mm2 and g mm2 for kg m2 are factors of 1e6 and 1e9."""
 LEAST_OFF_CENTRE = 0.2
 """Least distance of the middle of a link's shapes from its joint, as a share of the link's size,
 for a centre of mass at the joint to be a placeholder: shapes may have their middle there, too."""

@@ -1,10 +1,10 @@
 """Model files with lengths, masses or moments of inertia in other units than SI, as CAD programs
 export them, and arms with all their masses scaled.
 
-A body of mass m and inertia I about its centre of mass has a radius of gyration r with
-r^2 = tr(I) / 2 m, and m / r^3 is at most 9 times its density, that of a sphere. Medians over the
-links of 33 public models are r = 0.02 to 0.11 of the distances between the joints and m / r^3 = 290
-to 23 000 kg/m^3. Wrong units are factors of 30 and more off in one of them.
+A body of mass m and inertia I about its centre of mass has a radius of gyration r with r^2 = tr(I)
+/ 2 m, and m / r^3 is at most 9 times its density, that of a sphere. Medians over the links of
+public models of r, over the distances between the joints, and of m / r^3 differ by less than two
+orders of magnitude. Wrong units are factors of 30 and more off in one of them.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ LARGEST_GYRATION = 1.5
 """Largest radius of gyration of a link that is larger than the arm is long [m]."""
 LARGEST_CENTRE = 3.0
 """Distance of a link's centre of mass from its joint over the arm's length above which it is no
-link's: of 138 links of public models it is 1.6 times the link's own length at most, and millimetres
-for metres are a factor of 1000."""
+link's: of links of public models it is hardly longer than the link, and millimetres for metres are
+a factor of 1000."""
 DENSEST = 2e5
 """Mass over the cube of the radius of gyration of a sphere of the densest metal [kg/m^3]."""
 

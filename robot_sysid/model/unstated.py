@@ -48,12 +48,11 @@ from robot_sysid.spatial import ROD_MOMENT
 from robot_sysid.wording import option_name
 
 SHAPE_DENSITY = 500.0
-"""Mass over the volume of the boxes around the shapes of links [kg/m^3]: of eleven public arms with
-collision shapes 160 to 1070 (median 560), and links of one arm differ from it by a factor of 1.7.
-"""
+"""Mass over the volume of the boxes around the shapes of links [kg/m^3]: about the median of public
+arms with collision shapes."""
 ARM_DENSITY = 14.0
 """Mass of an arm over the cube of the distances between its joints, where links have no shapes
-[kg/m^3]: of 26 public arms 5 to 51 (median 14)."""
+[kg/m^3]: median of public arms."""
 LEAST_BODY = spatial.theta_from_com(1e-6, np.zeros(3), 1e-9 * np.eye(3))
 """Parameters (10,) of a body without shapes that moves by itself, which MuJoCo wants to weigh."""
 

@@ -46,11 +46,11 @@ from robot_sysid.trajectory import SineTrajectory
 from robot_sysid.wording import option_name
 
 GRID_PER_CYCLE = 25
-"""Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
-those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
+"""Grid points per period of the highest frequency: enough that standard errors on the grid are
+those at 1 kHz but for rounding."""
 OBSTACLE_STEP = 2
 """Of how many grid points one is looked at for distances, until a motion breaks limits between
-them: mostly the error to expect is the same within 0.1 % (OpenArm, SO-101)."""
+them, which it seldom does: mostly the error to expect is the same."""
 INFORMATION_POINTS = slice(1, None, 3)
 """Grid points at which the information is computed: 8 per period change no criterion by over
 0.2 %."""
@@ -85,8 +85,8 @@ its way lies between the points that the search looks at."""
 USUAL_ROUNDS = 15
 """Rounds of a usual search, for its progress alone: arms of six and seven joints take 8 to 21."""
 CHECK_RATE_HZ = 100.0
-"""Rate at which limits of joints and tool are checked between rounds [Hz]: sinusoids of 0.6 Hz
-exceed their peaks at these samples by 0.02 % at most."""
+"""Rate at which limits of joints and tool are checked between rounds [Hz]: sinusoids of the highest
+frequency hardly exceed their peaks at these samples."""
 FEW_POSTURES = 8
 """Of how many postures of a random motion one is looked at first."""
 MOST_DRAWS = 3

@@ -41,7 +41,7 @@ from robot_sysid.wording import option_name
 _SLOPE_ROWS = 1000
 REVERSAL_SPEED = 0.01
 """Speed over which the feed-forward of dry friction turns its sign [rad/s]: a wider transition is
-gentler, but an arm that sticks longer at its reversals shows less; 0.03 costs a millimetre more."""
+gentler, but an arm that sticks longer at its reversals shows less."""
 LONG = 60.0
 """Duration of a motion that is proposed where a shorter one tells too little of a load [s]."""
 LEAST_GAIN = 0.05

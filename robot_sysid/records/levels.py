@@ -2,7 +2,8 @@
 
 CLEAR = 15.0
 """Least gain in the log marginal likelihood at which something is named: a motor that turns two
-joints, or a fault. A Staubli TX40's wrist gives 114 to 148, 38 right logs 10 at most [nats]."""
+joints, or a fault. Right logs gain less; a motor that turns two joints gains many times as much
+[nats]."""
 SURE = 3.0
 """Standard errors from which a number is significant where many are compared."""
 INTERVAL = 2.0
@@ -20,7 +21,7 @@ TELLING = 0.02
 nothing shows a zero of 9 ± 2 or 13 ± 3 degrees, which is its friction."""
 UNEXPLAINED = 0.05
 """Share of all torque that neither model nor noise explains, above which a result is not
-trustworthy: logs of right models have 0.4 to 3 %."""
+trustworthy: logs of right models have less."""
 LIKE_LOG = 0.5
 """Share of the model's error on other motions above which that of the written file limits its use
 to motions like the log's: there it is not even twice as good."""

@@ -230,8 +230,8 @@ def is_inertia_known(body: BodyEstimate) -> bool:
     """Return whether any principal moment exceeds ``SURE`` standard errors.
 
     One is enough: the smallest moment of a rod never does, and a wrist that only spins determines
-    one moment alone. Bodies that had to be made possible ones have too large moments: some of 48
-    simulated payloads that exceed two errors are 183 times too large (arms of
+    one moment alone. Bodies that had to be made possible ones have too large moments, some of
+    simulated payloads by orders of magnitude (arms of
     benchmarks/accuracy/payload_by_difference.py).
     """
     moments, errors = principal_moments(body)

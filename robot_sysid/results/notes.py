@@ -52,8 +52,8 @@ from robot_sysid.wording import option_setting
 COARSE = 0.2
 """Expected error of accelerations, over them, from which it is said."""
 WELL_EXPLAINED = 0.035
-"""Largest share of the torque that is unexplained and is not said: logs of right models leave up to
-3 %."""
+"""Largest share of the torque that is unexplained and is not said: logs of right models leave
+less."""
 UNSHOWN = 0.08
 """Error of a joint's torque scale by the log alone, from which on it is said: a factor of 1.25 is
 three of these errors, and smaller ones are not seen."""

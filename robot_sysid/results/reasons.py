@@ -49,8 +49,8 @@ STRONGEST_FRICTION = 3.0
 WORST_FILE = 0.5
 """Largest torque error of a file that is good for anything, over the torque."""
 WORST_WEIGHING = 0.25
-"""Largest held-out error of a fit with a payload, over the torque: logs of real arms have 0.4 to
-5 %."""
+"""Largest held-out error of a fit with a payload, over the torque: several times that of real
+arms."""
 FARTHEST_PAYLOAD = 0.5
 """Largest size of a payload, over the arm's reach."""
 SHORTEST_REACH = 0.6

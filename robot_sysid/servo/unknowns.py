@@ -28,8 +28,8 @@ import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.records import Array
 
 SLIP_SPEED = 0.1
-"""Speed over which the Stribeck part of friction fades [rad/s or m/s]: of 0.05, 0.1, 0.2 and 0.3
-the one with which recordings of an XL330 that were not fitted are played best."""
+"""Speed over which the Stribeck part of friction fades [rad/s or m/s]: of several the one with
+which recordings of an XL330 that were not fitted are played best."""
 
 
 @dataclass(frozen=True)

@@ -40,9 +40,8 @@ HIGHEST_RATIO = 15.0
 """Largest ratio of cut-off to that frequency that is of use: docs/evidence.md,
 tests/signals/test_cutoff.py."""
 LOWEST_RATIO = 4.0
-"""Smallest ratio: below it, links that move fast are told from friction no more. One that was 40 %
-too heavy was found 120 % too heavy at 1.9 times the frequency, and 60 % at 4 times (positions of 12
-bits at 30 Hz)."""
+"""Smallest ratio: below it, links that move fast are told from friction no more, and one that is
+too heavy is found heavier still, most of all with coarse and slow positions."""
 BEARABLE_ERROR = 2.5e-3
 """Expected squared error up to which a cut-off is raised to the smallest ratio: it biases an
 inertia by 0.25 %."""

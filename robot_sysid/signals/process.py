@@ -12,8 +12,8 @@
 
 A filtered row mixes all samples under the filter's window, near a reversal also some in which the
 direction of friction is not known. Rows with more than ``LARGEST_SLOW_SHARE`` of the filter's
-weight on such samples are masked. In a simulated closed loop a mask that only looks at a row's own
-instant leaves errors of 3.8 % in viscous friction, this one 0.9 %.
+weight on such samples are masked. A mask that only looks at a row's own instant leaves errors in
+viscous friction that are several times as large.
 """
 
 from __future__ import annotations
@@ -48,9 +48,10 @@ have in a row that is used."""
 
 TURN_TRAVELS = (1e-3, 3e-3)
 """Travels from a turn within which dry friction may not have turned round [rad], of zones one
-around the other: teeth and balls bend before they slide. Gears of real arms take about 1 mrad, and
-after three times as much 5 % of the change are left. A zone of 3 mrad makes the rotors of long logs
-right; at every joint it makes the file of a TX40 worse, whose short log has no rows to spare."""
+around the other: teeth and balls bend before they slide. Gears of real arms take about the smaller
+one, and after the larger one next to nothing of the change is left. The larger zone makes the
+rotors of long logs right; at every joint it makes the file of a short log worse, which has no rows
+to spare."""
 NOISELESS = 1e-3
 """Share of noise in the acceleration below which positions are differentiated as they are."""
 LONGEST_HOLE = 5.5
@@ -469,8 +470,7 @@ def low_pass_recordings(
     """Resample every recording to a uniform grid and low-pass it, each log with its own cut-off.
 
     A slow motion asks for a low one, behind which a fast one would lose what it tells of rotors:
-    with one for both, a slow log beside a fast one made the file of seven of eight drawn arms
-    worse than the fast one alone.
+    with one for both, a slow log beside a fast one makes the file worse than the fast one alone.
 
     Args:
         robot: the arm with its model.

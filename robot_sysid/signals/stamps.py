@@ -21,10 +21,10 @@ window that cuts one of few bursts is late by a part of it."""
 MOST_SHIFT = 0.5
 """Sampling periods by which it may differ between windows: a lost row shifts it by one."""
 CLEARLY_SMOOTHER = 1.3
-"""Roughness by the stamps, over that by the rows, from which on rows are even: of 40 logs with true
-stamps that are uneven it was 0.96 at most, with steps of an encoder as large as the motion between
-rows. Stamps that are off by a tenth to nine tenths of a period make 1.05 to 1.6 beside such steps,
-and 11 to 19 beside usual ones."""
+"""Roughness by the stamps, over that by the rows, from which on rows are even: true stamps that are
+uneven have less than one, also with steps of an encoder as large as the motion between rows. Stamps
+that are off by a part of a period have a little more than one beside such steps, and many times
+that beside usual ones."""
 USUAL_SHARE = 0.98
 """Share of the rows whose roughness counts: the others may hold a wrap, or a wrong sample."""
 LEAST_STEPS = 10

@@ -24,12 +24,12 @@ shorted windings and dry friction are stable with any step h: find v and the mea
 
 by an L-stable method of second order; M and bias are those in the middle of the step, and positions
 move by the mean velocity. So damping adds no apparent armature to the mean torque of a step.
-(Implicit Euler, v in place of v_mean, adds h (damping + fv) / 2: 6 % of an OpenArm's rotor.)
+(Implicit Euler, v in place of v_mean, adds h (damping + fv) / 2, a clear part of a small rotor.)
 
 Its joints have stops at the ends of their ranges, which are rigid and give nothing back: a joint
 that would pass one within a step comes to rest there, by whatever torque that takes, as if it stuck
 with dry friction; the other joints feel the blow. The stop never pulls. (A spring that is stable
-with a step of 0.5 ms gives way by 0.03 rad where 7 N m press a light wrist against it.)
+with such steps gives way visibly where a light wrist is pressed against it.)
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ _LEAST_MOTION = 0.1
 # Rows of a recording below which nothing is judged: a second at the slowest usual rate.
 _LEAST_ROWS = 100
 # Least duration of a motion, at its own speed, whose recording is compared with the model [s]. Of
-# 30 simulated arms whose links and friction are as usual, 8 were told to differ by motions of 2 s,
-# played in 2 to 7 s; of 30 none by motions of 6 s, played in 6 or 15 s.
+# sound simulated arms, some are told to differ by shorter ones, and none by longer ones, however
+# slowly these are played.
 _LEAST_SECONDS = 5.0
 _REGISTERS = re.compile(
     r"# registers_j(\d+):.*PMAX=([\d.]+).*VMAX=([\d.]+).*TMAX=([\d.]+)"

@@ -60,11 +60,11 @@ is aside, so that their median does not."""
 
 BURST_SHARE = 0.4
 """Share of a motor's peak torque by which a torque may be away from the motion's own smooth one.
-Without a model the smooth torque is a guess: planned motions of three arms are up to 0.15 away."""
+Without a model the smooth torque is a guess, and planned motions are up to a third of this away."""
 TORQUE_WINDOW = 3.0
 """Length in which a torque is compared with the motion [s]. In shorter ones a burst of 0.2 s at an
-end of the file is fitted instead of found (22 of 80 with 2 s, none with 3 s); in longer ones the
-pose changes more than a sum of columns follows."""
+end of the file is fitted instead of found; in longer ones the pose changes more than a sum of
+columns follows."""
 WINDOW_ROWS = 200
 """Rows of a window that the smooth torque is fitted to; between them nothing changes."""
 ROWS_PER_COLUMN = 3

@@ -94,7 +94,7 @@ _WEAK_CHANGE = 0.15
 _TILT = 0.3
 
 # Gain in log likelihood from which a shift is certain, and how much more that has to be than any
-# other explanation gains (judgements): of 40 undisturbed runs none gained 1 with such a lead.
+# other explanation gains (judgements): undisturbed runs do not come near, with such a lead.
 _CERTAIN_GAIN = 8.0
 _LEAD = 3.0
 # A smaller shift is no fault [rad], nor is one that no joint's torque feels [doubts].

@@ -31,8 +31,8 @@ _SPARE_SHARE = 0.25
 _MISSING_SHARE = 0.3
 _MISSING_FLOOR = 0.01
 # What acts through the feed-forward torque: its age [cycles], damping over the motor's kd, and
-# stiffness times that age over kd. Larger gains feed energy into light or flexible joints (0.01 to
-# 3 kg m^2 were tried, with samples two cycles older), smaller ones let the joint fall farther.
+# stiffness times that age over kd. Larger gains feed energy into light or flexible joints, smaller
+# ones let the joint fall farther.
 _AGE = 1.5
 _ADDED_DAMPING = 0.25
 _ADDED_STIFFNESS = 0.4

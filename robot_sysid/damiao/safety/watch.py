@@ -51,7 +51,7 @@ from robot_sysid.records import Array
 from robot_sysid.records.levels import INTERVAL, STOPPING
 
 # Time constants of exponential means [s]. The short one is as quiet as a plain mean over 0.1 s;
-# with twice as much, an arm that a weak motor drops is found 0.04 s later, and falls twice as far.
+# with twice as much, an arm that a weak motor drops is found later, and falls twice as far.
 _SHORT = 0.05
 _LONG = 1.0
 # What a joint's two speeds may differ by over 0.1 s: in any case [rad/s], and as a share of the
@@ -63,8 +63,8 @@ _SPEED_SHARE = 0.05
 # 0.8 or 1.2 has to be seen, 2 % are usual.
 _LONG_SPEED_ERROR = 0.02
 _SCALE = 0.03
-# What the signed means of the two over a second may differ by: in any case [rad/s], four times as
-# much as in the worst of 48 undisturbed runs; and by a velocity that is filtered [s].
+# What the signed means of the two over a second may differ by: in any case [rad/s], several times
+# as much as in undisturbed runs; and by a velocity that is filtered [s].
 _DRIFT = 0.01
 _LATE = 0.01
 # Cycles by which position, velocity and torque in an answer may differ in age: what a motor's
