@@ -160,7 +160,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     scale = scale_spread(arm, options, question.loaded)
     if question.known_mass is not None and priors.scale is None:
         # They are what is asked for, and may be as wrong as torque constants are. A prior of
-        # sensors held a wrist whose constant was a quarter off at 20 % from the truth, ± 2.5 %.
+        # sensors would hold a wrist whose constant is far off near the model's, with a small error.
         scale = PER_CENT * np.full(len(scale), usual_errors.WRONG_SCALE)
     drifts = _drift_sizes(arm, question, torque)
     sizes: dict[str, Array | float] = {

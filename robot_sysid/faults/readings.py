@@ -201,7 +201,7 @@ def turned_signs(robot: RobotModel, moving: Sequence[int]) -> Iterator[Mistake]:
     """Yield turned signs of positions, torques and both, of each joint and of all.
 
     A log may have one and fit all the same, as of a wrist without weight. Exchanged wrists would
-    pass for friction that no term has: of a KUKA LWR4+, they did.
+    pass for friction that no term has.
     """
     for each in _QUANTITIES:
         yield from signs(robot, moving, each)

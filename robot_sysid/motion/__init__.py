@@ -224,7 +224,7 @@ class Effort:
 
 
 USUAL = Effort(draws=24, rounds=40, iterations=25)
-"""Most of what a search gains: the thorough one takes up to twice as long for 1.5 % at most."""
+"""Most of what a search gains: the thorough one takes longer for little more."""
 THOROUGH = Effort(draws=60, rounds=20, iterations=60)
 """A search until long rounds gain next to nothing."""
 

@@ -52,8 +52,8 @@ OBSTACLE_STEP = 2
 """Of how many grid points one is looked at for distances, until a motion breaks limits between
 them, which it seldom does: mostly the error to expect is the same."""
 INFORMATION_POINTS = slice(1, None, 3)
-"""Grid points at which the information is computed: 8 per period change no criterion by over
-0.2 %."""
+"""Grid points at which the information is computed: 8 per period change no criterion by
+more than rounding."""
 REPAIRS = (1.0, *(1.0 - 1e-3 * 2.0 ** np.arange(10)), 0.2, 0.1)
 """Factors by which a motion that breaks a limit is scaled down, tried in turn until it keeps all
 limits."""

@@ -50,8 +50,7 @@ from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
 from robot_sysid.wording import option_name
 
 WELL_WEIGHED = 20.0
-"""Standard errors of what is bolted on from which weighing it by difference, to 1 to 5 %, gains
-little."""
+"""Standard errors of what is bolted on from which weighing it by difference gains little."""
 
 
 def run(config: Config, progress: Progress | None = None) -> Written:
