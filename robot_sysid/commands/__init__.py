@@ -47,7 +47,7 @@ _USES = {
 _COLOURS = {
     31: ("Not usable", "robot-sysid: error", "STOP"),
     33: ("Usable, but", "Usable (", "Usable for", "Watch", "note", "doubts", "Changed"),
-    32: ("Usable", "Self-test passed", "Unchanged"),
+    32: ("Usable", "Log is fine", "Self-test passed", "Unchanged"),
     1: ("Copy into", "Next"),
 }
 COMMAND_STARTS = ("  robot-sysid ", "  pip install ", "  pip uninstall ")

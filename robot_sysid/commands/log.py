@@ -59,7 +59,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
         }
     )
     require_acceptable([log], findings, log_options.accept)
-    console.stage("Usable: nothing that stops an identification was found")
+    console.stage("Log is fine: nothing that stops an identification was found")
     console.stage(*step_after(SAME_LOG, values, log=paths).lines())
     return 0
 

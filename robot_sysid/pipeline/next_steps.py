@@ -88,7 +88,7 @@ STEPS: Mapping[str, Step] = {
     ),
     "further motion": Step(
         "Next, if {now} on other motions is too much, plan another motion: with its log about "
-        "{expected}",
+        "{expected} there",
         "plan {model} {options} --output-dir {folder}/planned",
         starts_motion=True,
     ),
@@ -97,8 +97,8 @@ STEPS: Mapping[str, Step] = {
         "identify {model} {log} {folder}/planned/log{ending} {options} --output-dir {folder}/both",
     ),
     "part bolted on": Step(
-        "Next, if it can be taken off, record {folder}/empty{ending} without it, and weigh it by "
-        "difference",
+        "Next, if it can be taken off, record the motion without it as {folder}/empty{ending}, and "
+        "weigh it by difference",
         "payload {model} --empty {folder}/empty{ending} --loaded {log} {options} --output-dir "
         "{folder}/weighed",
     ),

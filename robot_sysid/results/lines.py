@@ -98,7 +98,10 @@ def block_lines(content: Content, links: bool) -> list[str]:
         return lines
     link, joint = content["body_name"], content["joint_name"]
     rows = body_rows(content, link) + friction_rows(content, joint)
-    return [*beyond_lines(content), *quantity_lines(rows, f"{link} and {joint}")]
+    lines = [*beyond_lines(content), *quantity_lines(rows, f"{link} and {joint}")]
+    if rows and len(content["joint_names"]) > 1:
+        lines[-1] += f"; {option_name('links')} shows all links and joints"
+    return lines
 
 
 def _self_test_lines(content: Content) -> list[str]:
@@ -275,7 +278,10 @@ def _what_to_watch(content: Content, elsewhere: Content | None) -> Iterator[str]
     scales = content["unshown_scales"]
     if scales:
         owner, largest = max(scales.items(), key=lambda item: item[1])
-        yield f"a torque that reads {largest:.2f} times too much ({owner}) would not show"
+        yield (
+            f"if torques of {owner} read up to {largest:.2f} times too much or too little, this "
+            "log would not show it (a known weight does)"
+        )
 
 
 def before_after_text(tests: Content, kind: str = "") -> str:
@@ -309,7 +315,7 @@ def _errors_text(content: Content) -> str:
             percent(elsewhere[model]["relative_error"]) for model in ("before", "after")
         ]
         speed = f"{elsewhere['speed']:.2g} {elsewhere['speed_unit']}"
-        text += f", about {' -> '.join(shares)} on other motions up to {speed}"
+        text += f", {' -> '.join(shares)} expected on other motions up to {speed}"
     return text
 
 
@@ -347,7 +353,7 @@ def file_lines(content: Content, files: Sequence[Path]) -> Iterator[str]:
         if curved:
             error = percent(content["file"]["after"]["relative_error"] or 0.0)
             yield (
-                f"With MuJoCo before 3.7, or another simulator: {path} (its friction is straight; "
+                f"With MuJoCo before 3.7, or another simulator: {path} (friction linear in speed; "
                 f"torque error {error})"
             )
         yield from load_lines(curved or path)

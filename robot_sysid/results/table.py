@@ -43,8 +43,8 @@ ORIGIN = (BODY[0].name, *(each.name for each in BODY[10:]))
 """Names of mass, first moments and inertia about the origin of the body's frame."""
 HEADINGS = ("", "model", "identified", "±", "unit", "change")
 """Headings of a table, in the order of ``cells``."""
-# Cell of a change that is smaller than the standard error.
-_WITHIN = "within ±"
+# Cell of a change within ``INTERVAL`` standard errors, which may be none.
+_WITHIN = "within 2 ±"
 _ASSUMED = "assumed"
 # Words in a table to what they mean.
 _LEGEND = {
@@ -133,7 +133,7 @@ class Difference(NamedTuple):
 
     Attributes:
         text: in words.
-        is_clear: whether it is larger than its standard error.
+        is_clear: whether it is larger than ``INTERVAL`` standard errors.
         unit: of a number in the text; "" of a percentage.
     """
 
@@ -163,7 +163,7 @@ def _difference(row: Content) -> Difference:
     difference = after - before
     if abs(difference) <= WRITTEN * abs(before):
         return Difference("none", False)
-    if error is not None and abs(difference) <= error:
+    if error is not None and abs(difference) <= INTERVAL * error:
         return Difference(_WITHIN, False)
     sign = "+" if difference > 0.0 else ""
     if before * after > 0.0 and abs(difference / before) <= MOST_PERCENT:
@@ -228,13 +228,13 @@ def quantity_lines(rows: Sequence[Content], title: str = "") -> Iterator[str]:
     small = [row for row in rows if says_nothing(row) and row["error"]]
     labels = _labels_text(map(label, small))
     if labels:
-        yield f"  smaller than their ±: {labels}"
+        yield f"  not shown, number and change within 2 ±: {labels}"
     yield from legend_lines((heading, *shown))
 
 
 def says_nothing(row: Content) -> bool:
-    """Return whether a number and its change are smaller than its standard error, or it is bound to
-    what the model says.
+    """Return whether a number and its change are within ``INTERVAL`` standard errors, or it is bound
+    to what the model says.
 
     The mass is asked for, so that it says how little is known; so are all numbers of a payload,
     which no model has.
@@ -245,7 +245,8 @@ def says_nothing(row: Content) -> bool:
     is_asked = name == BODY[0].name or (before is None and name not in TERMS)
     if is_asked or not error:
         return False
-    return max(abs(row["value"]), abs(row["value"] - (before or 0.0))) <= error
+    size = max(abs(row["value"]), abs(row["value"] - (before or 0.0)))
+    return bool(size <= INTERVAL * error)
 
 
 def _labels_text(labels: Iterable[str]) -> str:
@@ -283,7 +284,7 @@ def beyond_lines(content: Content) -> Iterator[str]:
     is_seen = [abs(r["value"]) >= INTERVAL * r["error"] for r in (moment, mass)]
     if not any(is_seen):
         unseen = number_text(INTERVAL * mass["error"], mass["error"])
-        yield f"{start}: nothing seen; less than {unseen} kg would not be"
+        yield f"{start}: nothing seen (a load under {unseen} kg would not show)"
     elif mass["value"] < 0.0 and is_seen[1]:
         lighter = with_error(-mass["value"], mass["error"], "kg")
         yield f"{start}: nothing; {link} weighs {lighter} less than in the model"
