@@ -245,7 +245,8 @@ def verdict_lines(content: Content, files: Sequence[Path] = ()) -> Iterator[str]
     parts.append(_errors_text(content) if file else "")
     if payload and payload["known_mass"]:
         parts.append("torque scales follow from the known mass")
-    yield f"{use}: {'; '.join(filter(None, parts))}"
+    said = "; ".join(filter(None, parts))
+    yield f"{use}: {said}" if said else use
     if not payload or not payload["known_mass"]:
         yield _mass_text_of(content)
     if lacking := [*_what_to_watch(content, elsewhere)]:
