@@ -66,7 +66,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
             f"{folder} exists; choose another folder with --output-dir DIR"
         )
     # Nothing is in its place, so that the claim is one on the name alone.
-    with claim([("folder with --output-dir DIR", folder)]):
+    with claim([("example", folder)]):
         _copy_example(source_folder(name), folder)
     console.stage(f"Example copied to {folder}. What to do with it:")
     names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
