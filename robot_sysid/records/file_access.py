@@ -407,10 +407,10 @@ def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
     """
     listed = [*files]
     folders = {path.parent for option, path in listed if option == FOLDER_OPTION}
-    targets = {
-        path.parent if path.parent in folders else path: option
-        for option, path in listed
-    }
+    targets = dict.fromkeys(folders, FOLDER_OPTION)
+    for option, path in listed:
+        if path.parent not in folders:
+            targets[path] = option
     created: list[Path] = []
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, created)
