@@ -197,17 +197,17 @@ class Config:
         yield from self.named_files()
         if self.output.report:
             path = self.output.output_dir / file_access.REPORT_NAME
-            yield option_name("output_dir"), path
+            yield file_access.FOLDER_OPTION, path
         settings = self.settings_file
         if settings is not None:
             is_in_folder = settings.parent == self.output.output_dir
             beside = f"the settings beside {option_name('save_trajectory')}"
-            yield option_name("output_dir") if is_in_folder else beside, settings
+            yield file_access.FOLDER_OPTION if is_in_folder else beside, settings
 
     def folder_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option, path) of each file that writing the result puts into its folder."""
         for name in self.result_names:
-            yield option_name("output_dir"), self.output.output_dir / name
+            yield file_access.FOLDER_OPTION, self.output.output_dir / name
 
     def named_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option, path) of each file whose name an option states, and of those beside it."""
@@ -287,7 +287,7 @@ class MotionConfig(Config):
                 path.with_suffix(".csv"),
             )
             if self.trajectory.save is None:
-                yield option_name("output_dir"), path
+                yield file_access.FOLDER_OPTION, path
         if path is not None and self.aim.purpose == SERVOS:
             yield option_name("for_", SERVOS), path.with_name(file_access.GOALS_NAME)
         yield from super().named_files()
@@ -296,8 +296,8 @@ class MotionConfig(Config):
         """Yield (option, path) of each file that goes to the folder of results."""
         if self.motors.are_stated:
             folder = self.output.output_dir
-            yield option_name("output_dir"), folder / file_access.DAMIAO_NAME
-            yield option_name("output_dir"), folder / file_access.DAMIAO_WEIGHT_NAME
+            yield file_access.FOLDER_OPTION, folder / file_access.DAMIAO_NAME
+            yield file_access.FOLDER_OPTION, folder / file_access.DAMIAO_WEIGHT_NAME
         yield from super().folder_files()
 
 

@@ -12,7 +12,7 @@ from robot_sysid.commands.arguments import Command
 from robot_sysid.config import Config, OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.file_access import REPORT_NAME, claim
+from robot_sysid.records.file_access import FOLDER_OPTION, REPORT_NAME, claim
 from robot_sysid.records.option_fields import (
     FileArguments,
     option,
@@ -20,7 +20,6 @@ from robot_sysid.records.option_fields import (
     record_from,
 )
 from robot_sysid.report.drawing import require_matplotlib
-from robot_sysid.wording import option_name
 
 if TYPE_CHECKING:
     from robot_sysid.report.runs import Run
@@ -48,7 +47,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     if "output_dir" not in values:
         folder = runs[0].folder
     name = REPORT_NAME if len(runs) == 1 else COMPARISON_NAME
-    with claim([(option_name("output_dir"), folder / name)]):
+    with claim([(FOLDER_OPTION, folder / name)]):
         return _write_page(runs, folder, mesh_dir, console)
 
 

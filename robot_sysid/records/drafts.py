@@ -141,11 +141,12 @@ def locked(path: Path, patience: float = 0.0) -> Iterator[None]:
     Raises:
         BlockingIOError: another run has the lock; its text is the number of that process.
     """
-    # Not the name itself: with what stands before it, it might be too long.
-    name = hashlib.sha256(os.fsencode(path.name)).hexdigest()[:16]
-    lock_path = path.with_name(f"{HIDDEN_PREFIX}lock-{name}")
     if os.path.isdir(path):
         lock_path = path / f"{HIDDEN_PREFIX}lock"
+    else:
+        # Not the name itself: with what stands before it, it might be too long.
+        name = hashlib.sha256(os.fsencode(path.name)).hexdigest()[:16]
+        lock_path = path.with_name(f"{HIDDEN_PREFIX}lock-{name}")
     lock = _wait_for_lock(lock_path, time.monotonic() + patience)
     try:
         yield

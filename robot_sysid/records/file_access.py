@@ -34,7 +34,7 @@ from robot_sysid.records.drafts import (
     new_draft,
     remove_leftovers,
 )
-from robot_sysid.wording import option_name
+from robot_sysid.wording import is_for_python
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Format of the robot's model file to the name of the written model: a URDF stays one."""
@@ -70,6 +70,8 @@ DATA_NAME = "report_data.npz"
 """Name of the file with the signals that a report draws."""
 REPORT_NAME = "report.html"
 """Name of the page of one run."""
+FOLDER_OPTION = "--output-dir"
+"""The option of commands that names the folder of results; Python's calls take it as they save."""
 RECORD_NAME = f"{HIDDEN_PREFIX}files.json"
 """Name of the hidden file that lists what runs have written to its folder."""
 RESULT_NAMES = (
@@ -444,12 +446,11 @@ def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
         InputError: a file cannot be written, is no run's, or another run is about to write there.
     """
     listed = [*files]
-    folder_option = option_name("output_dir")
-    folders = {path.parent for option, path in listed if option == folder_option}
-    targets = {
-        path.parent if path.parent in folders else path: option
-        for option, path in listed
-    }
+    folders = {path.parent for option, path in listed if option == FOLDER_OPTION}
+    targets = dict.fromkeys(folders, FOLDER_OPTION)
+    for option, path in listed:
+        if path.parent not in folders:
+            targets[path] = option
     created: list[Path] = []
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, created)
@@ -463,8 +464,8 @@ def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
             _refuse_no_file(path)
             if not is_replaceable(path):
                 raise InputError(
-                    f"{option} would replace {path}, which no run wrote, or which was changed "
-                    "since; choose another, or move that file away"
+                    f"{_writer(option)} would replace {path}, which no run wrote, or which was "
+                    "changed since; choose another, or move that file away"
                 )
         yield
 
@@ -477,10 +478,15 @@ def hold(path: Path, option: str) -> Iterator[None]:
             stack.enter_context(locked(path))
         except BlockingIOError as error:
             raise InputError(
-                f"another run, process {error}, is writing to {path}; wait until it has ended, or "
-                f"choose another {option}"
+                f"{_writer(option)} would write to {path}, and another run, process {error}, is "
+                "writing there; wait until it has ended, or choose another"
             ) from None
         yield
+
+
+def _writer(option: str) -> str:
+    """Return what an error names as the writer of a file: an option, or in Python ``save``."""
+    return "save" if option == FOLDER_OPTION and is_for_python() else option
 
 
 def is_replaceable(path: Path) -> bool:
