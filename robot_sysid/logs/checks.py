@@ -25,6 +25,7 @@ from robot_sysid.logs.table import (
     LogTable,
     read_cells,
     separate_recordings,
+    without_copies,
 )
 from robot_sysid.logs.titles import TIME_UNITS, UNITS, read_title
 from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
@@ -115,11 +116,12 @@ def read_recording(
         InputError: the first fault.
     """
     cells, complaint = read_cells(table, columns, progress)
+    cells, copy_notes = without_copies(table, cells)
     restart_notes = separate_recordings(table, columns, cells)
     with prefix_input_errors(str(table.path)):
         columns, cells, further_notes = _complete_columns(columns, cells)
         lines, cells, notes = usable_rows(table, columns, cells, complaint)
-        notes += [*restart_notes, *further_notes]
+        notes += [*copy_notes, *restart_notes, *further_notes]
         # With fewer, the other checks mean nothing.
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")
@@ -287,10 +289,10 @@ def positions(columns: ColumnMap, cells: Array, rows: Rows) -> Array:
 def ordered_rows(
     table: LogTable, columns: ColumnMap, cells: Array, rows: Rows
 ) -> tuple[Rows, list[str]]:
-    """Return rows (K,) in the order of time, each once, and notes on what was mended.
+    """Return rows (K,) in the order of time, and notes on what was mended.
 
-    Rows that are the same in all columns are one. Others are sorted where they are those of one
-    recording: sorted, they do not lie closer than usual, as those of two recordings would.
+    They are sorted where they are those of one recording: sorted, they do not lie closer than
+    usual, as those of two recordings would.
 
     Args:
         table: the log.
@@ -303,18 +305,6 @@ def ordered_rows(
     step = np.diff(time)
     if np.all(step > 0.0):
         return rows, notes
-    order = np.argsort(time, kind="stable")
-    is_shared = np.diff(time[order], prepend=-np.inf) == 0.0
-    is_shared[:-1] |= is_shared[1:]
-    shared = rows[np.sort(order[is_shared])]
-    _, first = np.unique(cells[shared, 1:], axis=0, return_index=True)
-    copies = np.delete(shared, first)
-    if len(copies):
-        rows = rows[~np.isin(rows, copies)]
-        notes.append(
-            f"left out rows that are written twice, the same in all columns: {len(copies)} "
-            f"(first: {table.cite(cells[copies[:1], 0].astype(np.int64))})"
-        )
     time = cells[rows, 1]
     late = rows[1:][np.diff(time) < 0.0]
     order = np.argsort(time, kind="stable")

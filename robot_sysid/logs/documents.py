@@ -400,11 +400,14 @@ def _long_table(dialect: Dialect) -> LogTable | None:
         return None
     (time_column,) = times
     time_title = titles[time_column]
-    # Name and cells of each row.
-    rows = []
-    for cells in dialect.rows():
-        if len(cells) == len(titles) and is_number(cells[time_column]):
-            rows.append(("/".join(cells[k] for k in naming), cells))
+    # Name and cells of each row, once; a dictionary keeps their order.
+    read_rows = [
+        ("/".join(cells[k] for k in naming), tuple(cells))
+        for cells in dialect.rows()
+        if len(cells) == len(titles) and is_number(cells[time_column])
+    ]
+    rows = [*dict.fromkeys(read_rows)]
+    copies = len(read_rows) - len(rows)
     counts = Counter(name for name, _ in rows)
     instants = {cells[time_column] for _, cells in rows}
     in_turn = len(instants) > IN_TURN * len(rows)
@@ -430,4 +433,5 @@ def _long_table(dialect: Dialect) -> LogTable | None:
         )
     layout = f"a row per signal and instant, {len(counts)} signals"
     ordered = sorted(states.values(), key=lambda state: parse_cell(state[time_title]))
-    return states_table(dialect.path, layout, ordered)
+    notes = (f"left out rows that are written twice: {copies}",) if copies else ()
+    return states_table(dialect.path, layout, ordered, notes=notes)

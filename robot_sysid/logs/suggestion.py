@@ -597,7 +597,11 @@ def _read_samples(table: LogTable) -> Array:
     first_row = table.first_row or [""] * len(table.titles)
     columns = [k for k, cell in enumerate(first_row) if _NUMBER.fullmatch(cell)]
     # 50 000 rows, or 5 million characters.
-    cells = table.cells(columns, 5)
+    cells = np.ascontiguousarray(table.cells(columns, 5))
+    # Rows that are written twice hide what increases steadily.
+    texts = cells.view(f"V{max(1, cells.itemsize * cells.shape[1])}")
+    _, first = np.unique(texts, return_index=True)
+    cells = cells[np.sort(first)]
     rows = np.arange(len(cells))
     samples = np.full((len(cells), len(table.titles)), np.nan)
     for column, numbers in zip(columns, cells.T):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.logs.declarations import ColumnChoices
+from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, ColumnMap
 from robot_sysid.records.data import shift_behind
 from robot_sysid.records.file_access import refuse_special_file
@@ -36,6 +38,10 @@ LARGEST_NUMBER = 1e24
 """Larger numbers are faults of a file, even times of a clock of nanoseconds."""
 NANOSECOND = 1e-9
 """[s]"""
+# The title of a part of a time stamp of ROS: what it is of, and whether it is the nanoseconds.
+_STAMP_PART = re.compile(
+    r"(?P<stem>|.*[ ._/:-])(?P<nano>n(ano)?)?sec(ond)?s?", re.IGNORECASE
+)
 _SPARE_ROWS = 1.1
 """Memory over the rows that a file holds as far as is known: lines differ in length."""
 _NEARLY_ALL = 0.999
@@ -244,7 +250,7 @@ def make_table(
             f"titles hold characters that nobody sees, and are read without them: {odd!r} is "
             f"{visible(odd)}",
         )
-    return LogTable(
+    table = LogTable(
         path,
         layout,
         shown,
@@ -255,6 +261,46 @@ def make_table(
         notes,
         {visible(title): start for title, start in (starts or {}).items()},
     )
+    return with_whole_stamps(table)
+
+
+def with_whole_stamps(table: LogTable) -> LogTable:
+    """Return a table with one time for each that is in two columns, seconds and nanoseconds, as
+    ROS has it; the time takes the place of the seconds.
+    """
+    parts: dict[str, dict[str, int]] = {}
+    for index, title in enumerate(table.titles):
+        match = _STAMP_PART.fullmatch(title)
+        if match:
+            part = "nanoseconds" if match["nano"] else "seconds"
+            parts.setdefault(match["stem"], {})[part] = index
+    titles = [*table.titles]
+    nanoseconds: dict[int, int] = {}
+    for stem, indices in parts.items():
+        if len(indices) < 2:
+            continue
+        stamp = stem.rstrip(" ._/:-") or "time"
+        if read_title(stamp).quantity != "time":
+            stamp = f"{stamp} time" if "time [s]" in titles else "time"
+        titles[indices["seconds"]] = f"{stamp} [s]"
+        titles[indices["nanoseconds"]] = f"nanoseconds of {stamp}"
+        nanoseconds[indices["seconds"]] = indices["nanoseconds"]
+    if not nanoseconds:
+        return table
+    blocks = partial(_whole_stamps, table.blocks, nanoseconds)
+    return replace(table, titles=tuple(titles), blocks=blocks)
+
+
+def _whole_stamps(
+    blocks: BlockReader, nanoseconds: Mapping[int, int], columns: Sequence[int]
+) -> Iterator[Block]:
+    """Yield the rows of these columns, with the nanoseconds (column of seconds to theirs) added."""
+    stamps = [k for k, column in enumerate(columns) if column in nanoseconds]
+    further = [nanoseconds[columns[k]] for k in stamps]
+    for block in blocks([*columns, *further]):
+        cells = block.cells[:, : len(columns)]
+        cells[:, stamps] += NANOSECOND * block.cells[:, len(columns) :]
+        yield replace(block, cells=cells)
 
 
 def import_optional(module: str, extra: str) -> Any:
@@ -325,6 +371,36 @@ def read_cells(
             later = table.seconds_after(column.index, table, columns.time.index)
             cells[:, -number] += later
     return cells, complaint
+
+
+def without_copies(table: LogTable, cells: Array) -> tuple[Array, list[str]]:
+    """Return cells without rows that are the same as another one in all columns, and a note.
+
+    A row that is written twice says nothing else than once, of the clock or of anything: it goes
+    before steps of time are judged.
+
+    ``cells``: of all rows, as ``read_cells`` returns them.
+    """
+    rows = np.flatnonzero(np.isfinite(cells[:, 1]))
+    time = cells[rows, 1]
+    if np.all(np.diff(time) > 0.0):
+        return cells, []
+    order = np.argsort(time, kind="stable")
+    is_shared = np.diff(time[order], prepend=-np.inf) == 0.0
+    is_shared[:-1] |= is_shared[1:]
+    shared = rows[np.sort(order[is_shared])]
+    numbers = np.ascontiguousarray(cells[shared, 1:])
+    # By their bytes, as empty cells are equal, too.
+    texts = numbers.view(f"V{numbers.itemsize * numbers.shape[1]}")
+    _, first = np.unique(texts, return_index=True)
+    copies = np.delete(shared, first)
+    if not len(copies):
+        return cells, []
+    note = (
+        f"left out rows that are written twice, the same in all columns: {len(copies)} (first: "
+        f"{table.cite(cells[copies[:1], 0].astype(np.int64))})"
+    )
+    return np.delete(cells, copies, axis=0), [note]
 
 
 def separate_recordings(table: LogTable, columns: ColumnMap, cells: Array) -> list[str]:

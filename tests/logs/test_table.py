@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs.files.refusals import refused
 from rigs.logs.log_files import (
     JOINTS,
+    TITLES,
     assert_refused,
     assert_samples,
     motion,
@@ -73,9 +74,16 @@ def test_a_slide_has_no_full_turn_and_no_degrees(tmp_path):
 def test_recordings_that_follow_each_other_in_a_file_are_read_as_pieces(
     tmp_path, header
 ):
-    path = write(tmp_path / "log.csv", table(motion(1000)))
+    # Rows that are the same in all columns would be one.
+    recordings = [table(motion(1000)) for _ in range(3)]
+    for offset, rows in enumerate(recordings):
+        rows[:, 4:] += offset
+    path = write(tmp_path / "log.csv", recordings[0])
     lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines, *lines[1 - header :], *lines[1:]]) + "\n")
+    for rows, start in zip(recordings[1:], (1 - header, 1)):
+        write(tmp_path / "further.csv", rows)
+        lines += (tmp_path / "further.csv").read_text().splitlines()[start:]
+    path.write_text("\n".join(lines) + "\n")
     log = read_measurements(path, JOINTS)
     assert (
         f"time starts again at line {1002 + header} and 1 more: 3 recordings"
@@ -85,8 +93,39 @@ def test_recordings_that_follow_each_other_in_a_file_are_read_as_pieces(
     pieces = split_at_gaps(log)
     assert len(pieces) == 3
     assert log.duration == pytest.approx(3.0 * pieces[0].duration, rel=1e-6)
-    for piece in pieces:
-        np.testing.assert_array_equal(piece.tau, motion(1000).tau)
+    for piece, rows in zip(pieces, recordings):
+        np.testing.assert_array_equal(piece.tau, rows[:, 4:])
+
+
+@pytest.mark.parametrize("every", [1, 10])
+def test_rows_that_are_appended_once_more_are_no_second_recording(tmp_path, every):
+    rows = table(motion(1000))
+    path = write(tmp_path / "log.csv", np.vstack((rows, rows[::every])))
+    log = read_measurements(path, JOINTS)
+    np.testing.assert_array_equal(table(log), rows)
+    assert "written twice" in notes_of(log) and "starts again" not in notes_of(log)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nanoseconds"),
+    [
+        ("header.stamp.secs", "header.stamp.nsecs"),
+        ("sec", "nanosec"),
+        ("time_seconds", "time_nanoseconds"),
+        ("base/sec", "base/nanosec"),
+    ],
+)
+def test_a_time_in_two_columns_is_one(tmp_path, seconds, nanoseconds):
+    """A tenth of the rows is there twice, as a bag has it that two programs recorded."""
+    rows = table(motion(1000))
+    rows = rows[np.sort([*range(1000), *range(0, 1000, 10)])]
+    time = 1_700_000_000 + rows[:, 0]
+    stamps = np.stack((np.floor(time), np.round(time % 1.0 * 1e9)))
+    cells = [[*map(int, s), *row] for s, row in zip(stamps.T, rows[:, 1:].tolist())]
+    titles = [seconds, nanoseconds, *TITLES[1:]]
+    log = read_measurements(write(tmp_path / "log.csv", cells, titles), JOINTS)
+    np.testing.assert_allclose(np.diff(log.time), 0.005, atol=1e-6)
+    np.testing.assert_array_equal(log.tau, motion(1000).tau)
 
 
 def test_time_that_goes_back_a_little_or_again_and_again_is_refused(tmp_path):

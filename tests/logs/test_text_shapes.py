@@ -119,10 +119,21 @@ def test_rows_of_joints_whose_end_or_middle_is_missing_are_read(tmp_path):
     assert_read(write_joints(tmp_path, rows), DATA[kept])
 
 
+def test_rows_of_joints_that_are_written_twice_are_one(tmp_path):
+    for step in (0.0, 1e-4):
+        rows = joint_rows(step)
+        path = write_joints(tmp_path, [*rows, *rows[::10]])
+        log = assert_read(path, DATA, ("time", "q", "tau"))
+        assert "written twice: 18" in notes_of(log)
+
+
 @pytest.mark.parametrize(
     ("rows", "fault"),
     [
-        (2 * joint_rows(), "180 rows repeat the time and name of another one"),
+        (
+            [*joint_rows(), *([*row[:3], 9.0] for row in joint_rows())],
+            "180 rows repeat the time and name of another one",
+        ),
         ([["never", "base", 0.1, 0.2]], "holds no numbers in states"),
     ],
 )
