@@ -233,8 +233,8 @@ def quantity_lines(rows: Sequence[Content], title: str = "") -> Iterator[str]:
 
 
 def says_nothing(row: Content) -> bool:
-    """Return whether a number and its change are within ``INTERVAL`` standard errors, or it is bound
-    to what the model says.
+    """Return whether a row tells nothing new: zero and no change are within ``INTERVAL`` standard
+    errors, or the number is bound to what the model says.
 
     The mass is asked for, so that it says how little is known; so are all numbers of a payload,
     which no model has.

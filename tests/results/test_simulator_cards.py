@@ -186,7 +186,7 @@ def test_only_the_card_of_the_choice_is_written_and_an_earlier_one_goes(
     assert len(written_files(robot, tmp_path, ALL)) == 2 + len(SIMULATORS)
     names = [path.name for path in written_files(robot, tmp_path, "drake")]
     assert names == ["updated_model.xml", "drake_card.py", "params.json"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+    assert sorted(path.name for path in tmp_path.glob("[!.]*")) == sorted(names)
 
 
 def test_an_unknown_simulator_is_refused_with_the_choices(robot):
