@@ -387,7 +387,7 @@ SITUATIONS = {
         two_arms_and_a_log_of_one,
     ),
     "free base": Situation(
-        ("model.chain --fix-base",),
+        ("mjcf.urdf --fix-base",),
         "arm.xml --duration 1",
         arm_on_a_free_base,
         is_fast=True,

@@ -100,7 +100,7 @@ def block_lines(content: Content, links: bool) -> list[str]:
     rows = body_rows(content, link) + friction_rows(content, joint)
     lines = [*beyond_lines(content), *quantity_lines(rows, f"{link} and {joint}")]
     if rows and len(content["joint_names"]) > 1:
-        lines[-1] += f"; {option_name('links')} shows all links and joints"
+        lines[-1] += "; all links and joints are in params.json"
     return lines
 
 
