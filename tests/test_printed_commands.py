@@ -16,7 +16,7 @@ import ast
 import contextlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -210,22 +210,29 @@ def topics_of_json() -> None:
     recorded.write_json_mcap(Path("log.mcap"), messages)
 
 
-def a_joint_that_stands() -> None:
-    """It has no column."""
-    robot = load_robot_model(written_arm())
-    truth = truth_of(robot, seed=4)
-    moving = [0, 1, 3]
-    moves = np.isin(range(4), moving)
-    place = np.where(moves, 0.0, 0.7)
-    motion = truth.motion
-    motion = Motion(
-        motion.time, place + moves * motion.q, moves * motion.qd, moves * motion.qdd
-    )
-    noise = 0.01 * np.random.default_rng(1).normal(size=motion.q.shape)
-    log = truth.arm.log(motion, noise)
-    titles = ["time", *map("q{}".format, moving), *map("tau{}".format, moving)]
-    rows = np.column_stack((log.time, log.q[:, moving], log.tau[:, moving]))
-    write(Path("log.csv"), rows, titles)
+def log_of_some(
+    position: Collection[int], torque: Collection[int], stands: int
+) -> Callable[[], None]:
+    """Return what writes a log with columns of some joints, of which one stands still."""
+
+    def prepare() -> None:
+        robot = load_robot_model(written_arm())
+        truth = truth_of(robot, seed=4)
+        moves = np.arange(4) != stands
+        place = np.where(moves, 0.0, 0.7)
+        motion = truth.motion
+        motion = Motion(
+            motion.time, place + moves * motion.q, moves * motion.qd, moves * motion.qdd
+        )
+        noise = 0.01 * np.random.default_rng(1).normal(size=motion.q.shape)
+        log = truth.arm.log(motion, noise)
+        names = robot.joint_names
+        titles = ["time", *(f"{names[k]} position" for k in position)]
+        titles += [f"{names[k]} effort" for k in torque]
+        rows = np.column_stack((log.time, log.q[:, position], log.tau[:, torque]))
+        write(Path("log.csv"), rows, titles)
+
+    return prepare
 
 
 MOTORS = "--motor-type DM4340 --motor-type DM4340"
@@ -336,6 +343,14 @@ def arm_on_a_free_base() -> None:
     written_arm(small_arms.world(base))
 
 
+def arm_on_a_floating_root() -> None:
+    """Its first link has the name of MuJoCo's own world, and is carried by another one."""
+    links = {f"l{k}": urdf.inertial(4.0 - k) for k in range(1, 4)}
+    arm = urdf.serial(links).replace('"base"', '"world"')
+    root = urdf.joint("odom", "world", "floating")
+    written_arm(urdf.robot(urdf.link("odom"), root, arm), "arm.urdf")
+
+
 def arm_in_tonnes() -> None:
     masses = {"l1": 3e-3, "l2": 2e-3, "l3": 1e-3}
     links = {
@@ -390,6 +405,12 @@ SITUATIONS = {
         ("mjcf.urdf --fix-base",),
         "arm.xml --duration 1",
         arm_on_a_free_base,
+        is_fast=True,
+    ),
+    "free base in the world's place": Situation(
+        ("mjcf.urdf --fix-base",),
+        "arm.urdf --duration 1",
+        arm_on_a_floating_root,
         is_fast=True,
     ),
     "tonnes": Situation(
@@ -570,9 +591,26 @@ SITUATIONS = {
     "joint that stands": Situation(
         ("logs.reader --columns",),
         "log log.csv arm.xml",
-        a_joint_that_stands,
+        log_of_some([0, 1, 3], [0, 1, 3], stands=2),
         is_fast=True,
         knows={"position.joint2": "0.7"},
+    ),
+    "joint without torque": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml",
+        log_of_some([0, 1, 2, 3], [0, 1, 3], stands=2),
+        is_fast=True,
+    ),
+    "joint that stands, without torque": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml --columns 'position.joint2 = 0.7'",
+        log_of_some([0, 1, 3], [0, 1, 3], stands=2),
+        is_fast=True,
+    ),
+    "last joint without torque": Situation(
+        ("logs.column_map --columns",),
+        "log log.csv arm.xml",
+        log_of_some([0, 1, 2, 3], [0, 1, 2], stands=3),
     ),
     "earlier log in degrees": Situation(
         ("pipeline.comparison command",),

@@ -174,6 +174,9 @@ def _echo_message(text: str) -> dict[str, Any]:
     for key, block in re.findall(r"^(\w+):((?:\n- .*)+|\s*\[[^\]]*\])", text, re.M):
         items = re.findall(r"(?:^- *|[\[,]\s*)([^,\]\n]+)", block, re.M)
         message[key] = [item.strip("'\" ") for item in items]
+    frame = re.search(r"\bframe_id: *['\"]?([^'\"\s]+)", text)
+    if frame:
+        message["frame_id"] = frame[1]
     stamp = re.search(r"\bsecs?: *(\d+)\s+n(?:ano)?secs?: *(\d+)", text)
     if stamp:
         seconds, nanoseconds = stamp.groups()
@@ -349,7 +352,8 @@ def _echo_state(cells: Sequence[str]) -> Mapping[str, Any]:
     lists = np.reshape(cells[3:], (4, -1)).tolist()
     stamp = {"sec": cells[0], "nanosec": cells[1]}
     message = dict(zip(("name", "position", "velocity", "effort"), lists))
-    return {"header": {"stamp": stamp}, **message}
+    header = {"stamp": stamp, "frame_id": cells[2]} if cells[2] else {"stamp": stamp}
+    return {"header": header, **message}
 
 
 def _table_of_series(dialect: Dialect) -> LogTable:

@@ -15,7 +15,7 @@ joint, has them.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterator, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
@@ -32,6 +32,14 @@ from robot_sysid.logs.joint_names import (
     match_joint_names,
     split_name,
 )
+from robot_sysid.logs.publishers import (
+    MOST_FRAMES,
+    Publisher,
+    Rank,
+    Sender,
+    choose_sender,
+    without_frame,
+)
 from robot_sysid.logs.ros_messages import (
     DEFINITIONS,
     READERS,
@@ -40,6 +48,7 @@ from robot_sysid.logs.ros_messages import (
     Readers,
     Sample,
     read_array,
+    read_frame,
     read_stamp,
 )
 from robot_sysid.logs.table import (
@@ -57,8 +66,11 @@ from robot_sysid.records import Column
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.wording import option_name
 
-Message = tuple[int, Sample]
-"""(time of the header, or else of recording [ns since 1970], sample)."""
+FIRST_MESSAGES = 200
+"""Messages of a topic that show what it holds: a second or more, in which each of its publishers
+has sent one."""
+Message = tuple[int, Sample, Publisher]
+"""(time of the header, or else of recording [ns since 1970], sample, who sent it)."""
 
 
 POSITIONS_ALONE = True, False, False
@@ -325,38 +337,51 @@ def _read_topic(
 
     Joints and quantities are those of its first messages; nothing is yielded where these hold none.
     """
-    # A second or more, in which each publisher of the topic has sent one.
-    messages = list(islice(_read_messages(bag, name, readers), 200))
+    messages = list(islice(_read_messages(bag, name, readers), FIRST_MESSAGES))
     # A dictionary keeps the keys in the order in which they come first.
-    sent: dict[Key, float] = {}
-    for _, sample in messages:
-        sent.update(sample)
+    sent: dict[Key, None] = {}
+    samples: dict[Publisher, list[Sample]] = {}
+    has_frames = len({p.frame for *_, p in messages}) <= MOST_FRAMES
+    for _, sample, its_publisher in messages:
+        sent.update(dict.fromkeys(sample))
+        key = its_publisher if has_frames else without_frame(its_publisher)
+        samples.setdefault(key, []).append(sample)
     if not sent:
         return
     arm_joints: Collection[str] = ()
     with contextlib.suppress(InputError):
         arm_joints = match_joint_names([joint for joint, _ in sent], joint_names)
-    complete = [
-        quantity
-        for quantity in ("position", *TORQUE)
-        if arm_joints and sent.keys() >= {*product(arm_joints, [quantity])}
-    ]
-    has_torque = not {*complete}.isdisjoint(TORQUE)
-    is_powered = any(map(sent.get, product(arm_joints, TORQUE)))
-    # Others may publish a gripper, or a few joints of the arm, on the same topic.
-    arm_keys = {*product(arm_joints, complete)}
-    notes: tuple[str, ...] = ()
-    if len({sample.keys() >= arm_keys for _, sample in messages}) > 1:
-        notes = (
-            "messages without all joints of the arm, of another publisher, are left out",
-        )
-    else:
-        arm_keys.clear()
     connections = _connections(bag, name, readers)
     message_type = connections[0].msgtype
     n_messages = sum(connection.msgcount for connection in connections)
-    start = min(stamp for stamp, _ in messages)
-    read = partial(_read_chunks, path, name, list(sent), start, arm_keys, readers)
+    ranks = {p: _rank(arm_joints, own) for p, own in samples.items()}
+    # Others may publish a gripper, or a few joints of the arm, on the same topic.
+    senders = [
+        Sender(p, ranks[p], round(n_messages * len(own) / len(messages)))
+        for p, own in samples.items()
+        if ranks[p][0] or ranks[p][1]
+    ]
+    publisher: Publisher | None = None
+    rank = (False, False, False)
+    notes: list[str] = []
+    if senders:
+        sender, note = choose_sender(senders)
+        rank = sender.rank
+        if len(samples) > 1:
+            publisher = sender.publisher
+        if len(senders) < len(samples):
+            notes.append(
+                "messages without all joints of the arm, of another publisher, are left out"
+            )
+        notes += filter(None, [note])
+    start = min(stamp for stamp, *_ in messages)
+
+    def is_read(its_publisher: Publisher) -> bool:
+        """Return whether messages of a publisher are read."""
+        key = its_publisher if has_frames else without_frame(its_publisher)
+        return publisher in (None, key)
+
+    read = partial(_read_chunks, path, name, list(sent), start, is_read, readers)
     titles = ["time", *map(" ".join, sent)]
     table = make_table(
         path,
@@ -364,11 +389,23 @@ def _read_topic(
         [(title, LATER) for title in titles],
         blocks=partial(chunk_blocks, read, n_messages),
         row_noun="message",
-        notes=notes,
+        notes=tuple(notes),
         starts={"time": start},
     )
-    rank = ("position" in complete, has_torque, has_torque and is_powered)
     yield Topic(name, message_type, table, n_messages, rank)
+
+
+def _rank(arm_joints: Collection[str], samples: Sequence[Sample]) -> Rank:
+    """Return whether all samples have positions of the arm's joints, torques, and these not 0."""
+    # Those of one publisher have the same keys.
+    complete = [
+        quantity
+        for quantity in ("position", *TORQUE)
+        if arm_joints and samples[0].keys() >= {*product(arm_joints, [quantity])}
+    ]
+    torques = [*product(arm_joints, {*complete} & {*TORQUE})]
+    is_powered = any(sample[key] for sample in samples for key in torques)
+    return "position" in complete, bool(torques), is_powered
 
 
 def _read_chunks(
@@ -376,7 +413,7 @@ def _read_chunks(
     topic: str,
     keys: Sequence[Key],
     start: int,
-    arm_keys: Set[Key],
+    is_read: Callable[[Publisher], bool],
     readers: Readers,
 ) -> Iterator[Chunk]:
     """Yield the samples of a topic in chunks: time from the start [s], and the numbers of ``keys``.
@@ -386,15 +423,15 @@ def _read_chunks(
         topic: its name.
         keys: of the numbers of a sample.
         start: stamp at which time is zero [ns since 1970].
-        arm_keys: without which a sample is left empty.
+        is_read: returns whether messages of a publisher are read; others are left empty.
         readers: of its messages.
     """
     with _open_bag(path) as bag:
         messages = _read_messages(bag, topic, readers)
         while chunk := list(islice(messages, ROWS)):
             rows = []
-            for stamp, sample in chunk:
-                used = sample if sample.keys() >= arm_keys else {}
+            for stamp, sample, publisher in chunk:
+                used = sample if is_read(publisher) else {}
                 numbers = [used.get(key, np.nan) for key in keys]
                 rows.append([NANOSECOND * (stamp - start), *numbers])
             yield [np.array(rows)]
@@ -406,7 +443,11 @@ def _read_messages(bag: Any, topic: str, readers: Readers) -> Iterator[Message]:
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         stamp = read_stamp(message) or int(received)
-        yield stamp, readers[connection.msgtype](message)
+        sample = readers[connection.msgtype](message)
+        # Velocities that are missing now and then make no other publisher.
+        parts = frozenset(key for key in sample if key[1] != "velocity")
+        node = getattr(connection.ext, "callerid", None) or ""
+        yield stamp, sample, Publisher(node, read_frame(message), parts)
 
 
 @contextlib.contextmanager

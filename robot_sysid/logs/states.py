@@ -15,8 +15,16 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.publishers import (
+    MOST_FRAMES,
+    Publisher,
+    Sender,
+    choose_sender,
+    publisher_of,
+)
 from robot_sysid.logs.table import ROWS, LogTable, make_table, nested_name, part_titles
 from robot_sysid.logs.text import is_names, list_in_cell, parse_cell
+from robot_sysid.logs.titles import read_title
 
 _SECONDS = frozenset({"sec", "secs", "seconds"})
 _NANOSECONDS = frozenset({"nanosec", "nsec", "nsecs", "nanos"})
@@ -92,6 +100,36 @@ def named_rows(
         yield dict(zip(names, map(list_in_cell, cells))) if is_whole else None
 
 
+def _other_publishers(states: Sequence[Any]) -> tuple[frozenset[Publisher], str]:
+    """Return those who sent the arm's states beside the one whose states are read, and a note.
+
+    They send positions of joints whose positions the one that is read sends, too.
+    """
+    sent: dict[Publisher, list[Any]] = {}
+    for state in filter(None, states):
+        sent.setdefault(publisher_of(state), []).append(state)
+    if len(sent) < 2 or len({p.frame for p in sent}) > MOST_FRAMES:
+        return frozenset(), ""
+    senders = []
+    positions = {}
+    for publisher, its_states in sent.items():
+        rows = [dict(numbers_in(state)) for state in its_states]
+        quantities = {t: read_title(t).quantity_beside_name for t in rows[0]}
+        of_torque = [t for t, quantity in quantities.items() if quantity == "torque"]
+        is_powered = any(row.get(title) for row in rows for title in of_torque)
+        positions[publisher] = {t for t, q in quantities.items() if q == "position"}
+        if positions[publisher]:
+            rank = (True, bool(of_torque), is_powered)
+            senders.append(Sender(publisher, rank, len(rows)))
+    if not senders:
+        return frozenset(), ""
+    first, _ = choose_sender(senders)
+    its_positions = positions[first.publisher]
+    rivals = [s for s in senders if positions[s.publisher] & its_positions]
+    _, note = choose_sender(rivals)
+    return frozenset(s.publisher for s in rivals) - {first.publisher}, note
+
+
 def states_table(
     path: Path,
     layout: str,
@@ -114,7 +152,14 @@ def states_table(
     columns: dict[str, None] = {}
     chunks = []
     remaining = iter(states)
+    others: frozenset[Publisher] | None = None
     while chunk := list(islice(remaining, ROWS)):
+        if others is None:
+            others, note = _other_publishers(chunk)
+            notes += (note,) * bool(note)
+        if others:
+            # An empty row keeps the number of the next one.
+            chunk = [{} if publisher_of(s) in others else s for s in chunk]
         rows = [None if s is None else dict(numbers_in(s)) for s in chunk]
         for row in filter(None, rows):
             columns.update(dict.fromkeys(row))

@@ -17,7 +17,7 @@ from itertools import chain, permutations
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.column_map import NO_TORQUE, ColumnFinder
 from robot_sysid.logs.declarations import column_text
 from robot_sysid.logs.joint_names import are_opposite_sides, split_name
 from robot_sysid.logs.matching import (
@@ -485,6 +485,12 @@ def find_driven(
         quantities += ["current", "commanded"]
     if any(key.startswith(f"{driven}.") for key in suggestion.entries):
         return suggestion
+    _, without = finder.without_torque
+    if without:
+        reason = NO_TORQUE.format(joints=", ".join(without))
+        for joint in without:
+            suggestion = suggestion.declare(f"torque.{joint}", "none")
+        return suggestion.explain(reason)
     found = (finder.matches(quantity, evidence.groups) for quantity in quantities)
     candidates = next(filter(None, found), [])
     if is_certain(candidates):
@@ -528,7 +534,7 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     samples = _read_samples(finder.table)
     evidence = Evidence(finder, samples, [*_find_groups(finder, samples)])
     groups = evidence.groups
-    if not (groups or find_standing(finder)):
+    if not (groups or find_standing(finder) or finder.without_torque[1]):
         return None
     titles = finder.table.titles
     grouped = {*chain.from_iterable(group.columns for group in groups)}

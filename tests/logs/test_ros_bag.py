@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sqlite3
 from itertools import chain
 
@@ -68,6 +69,70 @@ def test_messages_of_another_publisher_are_left_out_with_a_note(tmp_path):
         rows = sorted([*arm, *others], key=lambda row: row[0])
         log = assert_read(write_bag(tmp_path / str(number), rows), DATA)
         assert "of another publisher, are left out" in log.notes[-1]
+
+
+ZEROS = [0.0, 0.0, 0.0]
+# What a second publisher sends of a message of the arm.
+OTHERS = {
+    "no motors": lambda t, names, q, qd, tau: (t, names, q, qd, ZEROS, "sim"),
+    "a finger more, no motors": lambda t, names, q, qd, tau: (
+        t,
+        [*names, "finger"],
+        [*q, 0.01],
+        [*qd, 0.0],
+        [*ZEROS, 0.0],
+    ),
+    "another frame, and fewer": lambda t, names, q, qd, tau: (
+        t,
+        names,
+        q,
+        qd,
+        2.0 * tau,
+        "other",
+    ),
+}
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "ROS1"])
+@pytest.mark.parametrize("name", OTHERS)
+def test_publishers_of_one_arm_are_told_apart(tmp_path, name, storage):
+    arm = [*rows_of(range(60))]
+    others = [OTHERS[name](row[0] + 1e-3, *row[1:]) for row in arm[::2]]
+    rows = sorted([*arm, *others], key=lambda row: row[0])
+    path = recorded.write_bag(tmp_path / "bag", [topic("/joint_states", rows)], storage)
+    log = assert_read(path, DATA)
+    said = log.notes[-1]
+    assert "of another publisher, are left out" in said
+    assert ("effort 0 in each" in said) == ("no motors" in name)
+
+
+def test_a_frame_that_counts_messages_is_no_publisher(tmp_path):
+    rows = [(*row, f"frame{k}") for k, row in enumerate(rows_of(range(60)))]
+    assert_read(write_bag(tmp_path / "bag", rows), DATA)
+
+
+@pytest.mark.parametrize("form", ["echo", "JSON lines"])
+def test_publishers_in_text_are_told_apart_alike(tmp_path, form):
+    names = JOINTS
+    arm = [(*row, "base") for row in rows_of(range(60))]
+    other = [(t + 1e-3, n, q, qd, ZEROS, "sim") for t, n, q, qd, *_ in arm[::2]]
+    lines = []
+    for t, _, q, qd, tau, frame in sorted([*arm, *other], key=lambda row: row[0]):
+        lists = {"position": q, "velocity": qd, "effort": tau}
+        values = {key: [float(x) for x in v] for key, v in lists.items()}
+        if form == "echo":
+            stamp = f"sec: {int(t)}\n    nanosec: {round(1e9 * (t % 1.0))}"
+            head = f"header:\n  stamp:\n    {stamp}\n  frame_id: {frame}\n"
+            keys = {"name": names, **values}
+            lines.append(head + "".join(f"{k}: {[*v]}\n" for k, v in keys.items()))
+            lines.append("---")
+        else:
+            state = {"t": t, "header": {"frame_id": frame}, "name": names, **values}
+            lines.append(json.dumps(state))
+    path = tmp_path / "log.txt"
+    path.write_text("\n".join(lines) + "\n")
+    log = assert_read(path, DATA)
+    assert "messages of frame 'sim' (effort 0" in notes_of(log)
 
 
 def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
