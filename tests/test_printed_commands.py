@@ -197,6 +197,25 @@ def topics_of_two_arms() -> None:
     recorded.write_bag(Path("log"), topics)
 
 
+def torques_in_other_topics() -> None:
+    """A ROS bag with positions in one topic, and torques in two others."""
+    robot = load_robot_model(written_arm())
+    log = truth_of(robot, seed=4).log
+    names = robot.joint_names
+
+    def states(is_torque: bool) -> Callable[[Any], Iterator[Any]]:
+        def messages(types: Any) -> Iterator[Any]:
+            for time, q, tau in zip(log.time, log.q, log.tau):
+                values = (None, None, tau) if is_torque else (q, None, None)
+                yield time, recorded.joint_state(types, time, names, *values)
+
+        return messages
+
+    topics = {"/joint_states": False, "/motor_torques": True, "/raw": True}
+    rows = [(name, STATE, states(of_torque)) for name, of_torque in topics.items()]
+    recorded.write_bag(Path("log"), rows)
+
+
 def topics_of_json() -> None:
     """An MCAP file."""
     robot = load_robot_model(written_arm())
@@ -543,6 +562,9 @@ SITUATIONS = {
     ),
     "topics of two arms": Situation(
         ("logs.ros_bag --topic",), "log log arm.xml", topics_of_two_arms
+    ),
+    "torques in other topics": Situation(
+        ("logs.ros_bag --topic",), "log log arm.xml", torques_in_other_topics
     ),
     "topics of JSON": Situation(
         ("logs.documents --topic",), "log log.mcap arm.xml", topics_of_json

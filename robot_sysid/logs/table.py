@@ -197,6 +197,18 @@ class LogTable:
         return np.vstack([none, *(block.cells for block in blocks)])
 
 
+def select_columns(table: LogTable, columns: Sequence[int]) -> LogTable:
+    """Return a table with these columns (indices) alone."""
+
+    def blocks(selected: Sequence[int]) -> Iterator[Block]:
+        """Yield the rows with columns by their places among the selected ones."""
+        return table.blocks([columns[k] for k in selected])
+
+    titles = tuple(table.titles[k] for k in columns)
+    first_row = tuple(table.first_row[k] for k in columns if table.first_row)
+    return replace(table, titles=titles, blocks=blocks, first_row=first_row)
+
+
 def nested_name(group: str, name: str) -> str:
     """Return the name of what lies in a group, ``group/name``; "" is no group."""
     return f"{group}/{name}" if group else name
