@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, prefix_input_errors
-from robot_sysid.logs.sign_bits import decode_signs
 from robot_sysid.logs.table import (
     LARGEST_NUMBER,
     Lines,
@@ -34,6 +33,7 @@ from robot_sysid.records.data import shift_behind
 from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
+from robot_sysid.signals.sign_bits import decode_signs
 from robot_sysid.signals.stamps import even_time, is_sampled_motion
 from robot_sysid.wording import option_name, option_setting, with_option_names
 

@@ -27,12 +27,12 @@ from robot_sysid.logs.matching import (
     match_of_title,
     match_with_spare,
 )
-from robot_sysid.logs.sign_bits import decode_signs
 from robot_sysid.logs.table import LARGEST_NUMBER, LogTable
 from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import count_text
 from robot_sysid.signals.filters import integrate
+from robot_sysid.signals.sign_bits import decode_signs
 from robot_sysid.signals.stamps import is_sampled_motion
 
 BLANK = "?"

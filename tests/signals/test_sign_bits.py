@@ -14,7 +14,7 @@ from rigs.logs.log_files import (
     write,
 )
 from rigs.logs.log_files import table as table_of
-from robot_sysid.logs.sign_bits import decode_signs
+from robot_sysid.signals.sign_bits import decode_signs
 
 SIGNED = np.round(346.0 * np.sin(np.outer(np.arange(400), [0.031, 0.043, 0.057]) + 0.4))
 
