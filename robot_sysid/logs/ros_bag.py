@@ -32,14 +32,6 @@ from robot_sysid.logs.joint_names import (
     match_joint_names,
     split_name,
 )
-from robot_sysid.logs.publishers import (
-    MOST_FRAMES,
-    Publisher,
-    Rank,
-    Sender,
-    choose_sender,
-    without_frame,
-)
 from robot_sysid.logs.ros_messages import (
     DEFINITIONS,
     READERS,
@@ -50,6 +42,14 @@ from robot_sysid.logs.ros_messages import (
     read_array,
     read_frame,
     read_stamp,
+)
+from robot_sysid.logs.states import (
+    MOST_FRAMES,
+    Publisher,
+    Rank,
+    Sender,
+    choose_sender,
+    without_frame,
 )
 from robot_sysid.logs.table import (
     LATER,
