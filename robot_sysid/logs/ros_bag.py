@@ -70,6 +70,8 @@ from robot_sysid.wording import option_name
 FIRST_MESSAGES = 200
 """Messages of a topic that show what it holds: a second or more, in which each of its publishers
 has sent one."""
+MORE_MESSAGES = 2000
+"""Messages that show which of several publishers has torques: an arm may be switched on late."""
 Message = tuple[int, Sample, Publisher]
 """(time of the header, or else of recording [ns since 1970], sample, who sent it)."""
 
@@ -399,6 +401,8 @@ def _read_topic(
     Joints and quantities are those of its first messages; nothing is yielded where these hold none.
     """
     messages = list(islice(_read_messages(bag, name, readers), FIRST_MESSAGES))
+    if len({publisher for *_, publisher in messages}) > 1:
+        messages = list(islice(_read_messages(bag, name, readers), MORE_MESSAGES))
     # A dictionary keeps the keys in the order in which they come first.
     sent: dict[Key, None] = {}
     samples: dict[Publisher, list[Sample]] = {}
@@ -465,7 +469,8 @@ def _rank(arm_joints: Collection[str], samples: Sequence[Sample]) -> Rank:
         if arm_joints and samples[0].keys() >= {*product(arm_joints, [quantity])}
     ]
     torques = [*product(arm_joints, {*complete} & {*TORQUE})]
-    is_powered = any(sample[key] for sample in samples for key in torques)
+    # An effort that a driver does not know is NaN.
+    is_powered = any(abs(sample[key]) > 0.0 for sample in samples for key in torques)
     return "position" in complete, bool(torques), is_powered
 
 

@@ -85,7 +85,7 @@ def _describe(sender: Sender, other: Sender) -> str:
     """Return a sender that is not read, with why another one is."""
     why = count_text(sender.n_messages, "message")
     if sender.rank < other.rank:
-        why = "effort 0 in each of them" if sender.rank[1] else "without effort"
+        why = "no effort but 0 in any of them" if sender.rank[1] else "without effort"
         why = why if sender.rank[0] else "without positions"
     return f"{_name(sender.publisher, other.publisher)} ({why})"
 
@@ -210,7 +210,8 @@ def _other_publishers(states: Sequence[Any]) -> tuple[frozenset[Publisher], str]
         rows = [dict(numbers_in(state)) for state in its_states]
         quantities = {t: read_title(t).quantity_beside_name for t in rows[0]}
         of_torque = [t for t, quantity in quantities.items() if quantity == "torque"]
-        is_powered = any(row.get(title) for row in rows for title in of_torque)
+        efforts = (row.get(title, 0.0) for row in rows for title in of_torque)
+        is_powered = any(abs(effort) > 0.0 for effort in efforts)
         positions[publisher] = {t for t, q in quantities.items() if q == "position"}
         if positions[publisher]:
             rank = (True, bool(of_torque), is_powered)

@@ -289,7 +289,7 @@ def with_whole_stamps(table: LogTable) -> LogTable:
     titles = [*table.titles]
     nanoseconds: dict[int, int] = {}
     for stem, indices in parts.items():
-        if len(indices) < 2:
+        if len(indices) < 2 or not _are_parts(table, **indices):
             continue
         stamp = stem.rstrip(" ._/:-") or "time"
         if read_title(stamp).quantity != "time":
@@ -301,6 +301,18 @@ def with_whole_stamps(table: LogTable) -> LogTable:
         return table
     blocks = partial(_whole_stamps, table.blocks, nanoseconds)
     return replace(table, titles=tuple(titles), blocks=blocks)
+
+
+def _are_parts(table: LogTable, seconds: int, nanoseconds: int) -> bool:
+    """Return whether two columns are whole seconds and the nanoseconds behind them, and not one
+    time in two units.
+    """
+    first = next(table.blocks([seconds, nanoseconds]), None)
+    if first is None:
+        return True
+    whole, rest = first.cells[np.isfinite(first.cells).all(axis=1)].T
+    is_whole = np.all(whole == np.round(whole))
+    return bool(is_whole and np.all((rest >= 0.0) & (rest < 1.0 / NANOSECOND)))
 
 
 def _whole_stamps(

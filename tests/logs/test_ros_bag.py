@@ -83,6 +83,14 @@ OTHERS = {
         [*qd, 0.0],
         [*ZEROS, 0.0],
     ),
+    "no motors that it knows": lambda t, names, q, qd, tau: (
+        t,
+        names,
+        q,
+        qd,
+        [np.nan] * 3,
+        "sim",
+    ),
     "another frame, and fewer": lambda t, names, q, qd, tau: (
         t,
         names,
@@ -104,7 +112,7 @@ def test_publishers_of_one_arm_are_told_apart(tmp_path, name, storage):
     log = assert_read(path, DATA)
     said = log.notes[-1]
     assert "of another publisher, are left out" in said
-    assert ("effort 0 in each" in said) == ("no motors" in name)
+    assert ("no effort but 0" in said) == ("no motors" in name)
 
 
 def test_a_frame_that_counts_messages_is_no_publisher(tmp_path):
@@ -133,7 +141,7 @@ def test_publishers_in_text_are_told_apart_alike(tmp_path, form):
     path = tmp_path / "log.txt"
     path.write_text("\n".join(lines) + "\n")
     log = assert_read(path, DATA)
-    assert "messages of frame 'sim' (effort 0" in notes_of(log)
+    assert "messages of frame 'sim' (no effort but 0" in notes_of(log)
 
 
 def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
