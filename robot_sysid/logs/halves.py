@@ -15,6 +15,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.table import LARGEST_NUMBER, LogTable, make_table
+from robot_sysid.logs.text import is_empty
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, Column, ColumnMap, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
@@ -192,8 +193,9 @@ def join_rows(table: LogTable, columns: ColumnMap) -> LogTable:
     position = [column.index for column in columns.position if column.factor]
     torque = [column.index for column in columns.torque if column.factor]
     # Messages, and rows of arrays, hold all of an instant.
-    beginning = [table.first_row[k] for k in (*position, *torque) if table.first_row]
-    if all(beginning) and (beginning or table.row_noun != "state"):
+    row = table.first_row
+    is_whole = not any(is_empty(row[k]) for k in (*position, *torque) if row)
+    if is_whole and (row or table.row_noun != "state"):
         return table
     first = np.isfinite(table.cells([*position, *torque], 1))
     has_q = first[:, : len(position)].all(axis=1)

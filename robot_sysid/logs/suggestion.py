@@ -32,6 +32,7 @@ from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import count_text
 from robot_sysid.signals.filters import integrate
+from robot_sysid.signals.sign_bits import decode_signs
 from robot_sysid.signals.stamps import is_sampled_motion
 
 BLANK = "?"
@@ -534,6 +535,12 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     samples = _read_samples(finder.table)
     evidence = Evidence(finder, samples, [*_find_groups(finder, samples)])
     groups = evidence.groups
+    signed = []
+    for group in groups:
+        found = decode_signs(evidence.numbers(group))
+        if found:
+            samples[:, [*group.columns]], way = found
+            signed.append(f"{group.text} are numbers as {way}")
     if not (groups or find_standing(finder) or finder.without_torque[1]):
         return None
     titles = finder.table.titles
@@ -547,7 +554,7 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     )
     entries = finder.choices.entries
     units = tuple(filter(None, [entries.get("units")]))
-    suggestion = Suggestion(entries, units, (f"its columns are {listed}",))
+    suggestion = Suggestion(entries, units, (f"its columns are {listed}", *signed))
     if is_of_servos:
         suggestion = replace(
             suggestion.explain(
