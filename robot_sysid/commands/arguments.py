@@ -126,7 +126,7 @@ class Parser(argparse.ArgumentParser):
         group.add_argument("--help-all", action="help", help="print all options")
         names = [str(action.metavar) for action in self._arguments]
         self.usage = " ".join([self.prog, *names, "[options]"])
-        if self._takes_model_and_logs:
+        if self._takes_model:
             # Which of them is missing is said where all are told apart.
             self._make_arguments_optional()
 
@@ -148,10 +148,20 @@ class Parser(argparse.ArgumentParser):
         return help_group
 
     @property
+    def _takes_model(self) -> bool:
+        """Whether one of the positional arguments is a model."""
+        return MODEL[0].key in {action.dest for action in self._arguments}
+
+    @property
     def _takes_model_and_logs(self) -> bool:
         """Whether the positional arguments are a model and logs, which come in any order."""
-        keys = {action.dest for action in self._arguments}
-        return len(keys) == 2 and MODEL[0].key in keys
+        return self._takes_model and len(self._arguments) == 2
+
+    @property
+    def _log_key(self) -> str:
+        """Key of the logs beside a model."""
+        (key,) = {action.dest for action in self._arguments} - {MODEL[0].key}
+        return key
 
     def _make_arguments_optional(self) -> None:
         """Let positional arguments be left out, as where a file of options has them."""
@@ -205,6 +215,7 @@ class Parser(argparse.ArgumentParser):
         a file.
         """
         given = vars(self.parse_args(arguments))
+        self._free_model(given)
         if self._takes_model_and_logs:
             self._tell_apart(given, content)
         missing = []
@@ -218,6 +229,35 @@ class Parser(argparse.ArgumentParser):
             names = ", ".join(missing)
             self.error(f"the following arguments are required: {names}")
         return given
+
+    def _free_model(self, given: dict[str, Any]) -> None:
+        """Take a model, and what follows it, out of the files of an option before them.
+
+        argparse gives all files that follow an option of many to that.
+
+        Args:
+            given: values by key, which are changed.
+        """
+        if not self._takes_model:
+            return
+        model_key = MODEL[0].key
+        for action in self._actions:
+            files = given.get(action.dest)
+            if action in self._arguments or action.nargs != "+" or not files:
+                continue
+            at = next(
+                (k for k, path in enumerate(files) if k and begins_as_xml(path)), None
+            )
+            if at is None:
+                continue
+            if self._takes_model_and_logs:
+                log_key = self._log_key
+                given[log_key] = [*(given[log_key] or ()), *files[at:]]
+            elif given[model_key] is None and at == len(files) - 1:
+                given[model_key] = files[at]
+            else:
+                continue
+            given[action.dest] = files[:at]
 
     def _tell_apart(self, given: dict[str, Any], content: Collection[str]) -> None:
         """Give the model among the positional arguments to the option for it, the rest to the logs.
@@ -238,7 +278,7 @@ class Parser(argparse.ArgumentParser):
             # Of many, argparse makes a list.
             paths += value if isinstance(value, list) else filter(None, [value])
         model_key = MODEL[0].key
-        (log_key,) = {action.dest for action in self._arguments} - {model_key}
+        log_key = self._log_key
         models = [path for path in paths if begins_as_xml(path)]
         if len(models) > 1:
             listed = " and ".join(map(str, models))

@@ -14,6 +14,7 @@ from robot_sysid.faults import ColumnCorrection, Finding
 from robot_sysid.logs.declarations import column_text, declarations
 from robot_sysid.records import Column, ColumnMap, Recording
 from robot_sysid.records.fault_names import FaultName
+from robot_sysid.records.file_access import read_text
 from robot_sysid.records.option_fields import Columns
 
 
@@ -109,7 +110,7 @@ def _add_lines(source: Columns | None, lines: dict[str, str], reason: str) -> st
         reason: for the comment above the lines.
     """
     if isinstance(source, Path):
-        text = source.read_text(encoding="utf-8-sig")
+        text = read_text(source, "give a columns file, or its lines")
         old_lines = [*filter(None, text.rstrip("\n").split("\n"))]
     else:
         old_lines = [

@@ -462,7 +462,8 @@ def torque_scale(scales: Array, error: float = 0.0) -> tuple[str, str]:
 
 def stated_error(error: float) -> str:
     """Return the error of factors as the options of factors take it, "" for none."""
-    return f"+-{100.0 * error:.2g}%" if error else ""
+    # Two digits, without an exponent.
+    return f"+-{float(f'{100.0 * error:.2g}'):g}%" if error else ""
 
 
 def units_near(
@@ -494,7 +495,8 @@ def common_finding(
         return little_weight()
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
-    is_unit = mass_unit(robot, factor) != 1.0
+    # A factor that is hardly known makes a file that is as far off: only a weight tells it.
+    is_unit = mass_unit(robot, factor) != 1.0 and relative_error < VAGUE
     units = units_near(factor, relative_error)
     # Counts of a driver may be near a unit by chance, which only masses that no arm has rule out.
     others = units if is_unit else units_near(factor, relative_error, SURE)

@@ -32,9 +32,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from robot_sysid.errors import InputError, error_text
+from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.titles import TIME_UNITS
+from robot_sysid.records.file_access import read_text
 from robot_sysid.records.messages import visible
 
 JOINT_COLUMNS = ("position", "velocity", "torque", "joint_time", "command")
@@ -147,13 +148,7 @@ def declarations(source: Path | str) -> Mapping[str, str]:
     place = "columns"
     if isinstance(source, Path):
         place = str(source)
-        try:
-            source = source.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            fault = error_text(error)
-            raise InputError(
-                f"cannot read the columns file {place}: {fault}"
-            ) from error
+        source = read_text(source, "give a columns file, or its lines")
     # "#" begins a comment at the start of a line or behind a blank, unless it is column "#3".
     text = re.sub(r"(?m)(^|[^\S\n])#(?!\d).*", "", visible(source))
     values: dict[str, str] = {}

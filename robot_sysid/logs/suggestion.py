@@ -344,7 +344,16 @@ def find_standing(finder: ColumnFinder) -> str:
 
 
 def ask_where(finder: ColumnFinder, suggestion: Suggestion, joint: str) -> Suggestion:
-    """Return the suggestion with a blank for where a joint stood still that has no column."""
+    """Return the suggestion with the one column that is left over for a joint, or else with a blank
+    for where it stood still.
+    """
+    left = left_over(finder, joint)
+    if left:
+        at = finder.robot.joint_names.index(joint)
+        listed = " and ".join(texts[at] for texts in left.values())
+        for quantity, texts in left.items():
+            suggestion = suggestion.declare(quantity, ", ".join(texts))
+        return suggestion.explain(f"{listed} are left over, for {joint}")
     reason = f"if {joint} stood still, and has no column, state where"
     suggestion = suggestion.declare(f"position.{joint}", BLANK, reason)
     at_rest = finder.declaring(f"position.{joint}", "0")
@@ -352,6 +361,29 @@ def ask_where(finder: ColumnFinder, suggestion: Suggestion, joint: str) -> Sugge
     if not at_rest.recognise("torque") and without_torque.recognise("torque"):
         suggestion = suggestion.declare(f"torque.{joint}", "none")
     return suggestion
+
+
+def left_over(finder: ColumnFinder, joint: str) -> dict[str, list[str]]:
+    """Return position and torque to their columns, base first, where one of each is left over for a
+    joint, whose name in the log may be another one; {} elsewhere.
+    """
+    names = finder.robot.joint_names
+    others = finder.declaring(f"position.{joint}", "0")
+    others = others.declaring(f"torque.{joint}", "none")
+    texts = finder.table.titles
+    found: dict[str, list[str]] = {}
+    for quantity in ("position", "torque"):
+        used = [column.index for column in others.recognise(quantity)]
+        free = [
+            index
+            for index, title in enumerate(finder.titles)
+            if title.quantity_beside_name == quantity and index not in used
+        ]
+        if not used or len(free) != 1:
+            return {}
+        used[names.index(joint)] = free[0]
+        found[quantity] = [column_text(texts, index) for index in used]
+    return found
 
 
 def find_measured(
@@ -484,7 +516,7 @@ def find_driven(
     quantities = [driven]
     if driven == "torque":
         quantities += ["current", "commanded"]
-    if any(key.startswith(f"{driven}.") for key in suggestion.entries):
+    if any(key.partition(".")[0] == driven for key in suggestion.entries):
         return suggestion
     _, without = finder.without_torque
     if without:

@@ -12,6 +12,7 @@ for one.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import hashlib
 import json
@@ -162,10 +163,15 @@ def begins_as_xml(path: Path) -> bool | None:
 
 
 def read_text(path: Path, remedy: str) -> str:
-    """Return the content of a text file in UTF-8, or raise InputError that ends with a remedy."""
+    """Return the content of a text file, or raise InputError that ends with a remedy.
+
+    It is in UTF-8, or in UTF-16 with a mark, as Windows calls Unicode.
+    """
     refuse_special_file(path, remedy)
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with open(path, "rb") as file:
+            is_wide = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        return path.read_text(encoding="utf-16" if is_wide else "utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read {path}: {error_text(error)}; {remedy}") from None
 
@@ -532,8 +538,11 @@ def _recorded_files(folder: Path) -> dict[str, list[dict[str, Any]]]:
     Nothing where there is no record, or none that can be read: all files are then taken for a
     person's.
     """
+    record = folder / RECORD_NAME
+    if not os.path.isfile(record):  # reading a pipe would never end
+        return {}
     try:
-        content = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
+        content = json.loads(record.read_text(encoding="utf-8"))
         files = content["files"].items()
         return {
             name: [entry for entry in entries if isinstance(entry, dict)]

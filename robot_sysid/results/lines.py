@@ -192,7 +192,7 @@ def _validation_lines(content: Content) -> Iterator[str]:
     file = content["file"]
     if file is not None:
         for test in file["others"]:
-            shares = before_after_text(test)
+            shares = _errors_text_of(test)
             yield f"Torque error of the model on {test['before']['source']}: {shares}"
         sources = [test["before"]["source"] for test in file["others"]]
         tests = [test for test in tests[1:] if test["source"] not in sources]
@@ -275,7 +275,7 @@ def _what_to_watch(content: Content, elsewhere: Content | None) -> Iterator[str]
             f"{elsewhere['faster']}"
         )
     if elsewhere and elsewhere["still"]:
-        yield f"{', '.join(elsewhere['still'])} stood still"
+        yield f"{', '.join(elsewhere['still'])} stood still, or had no torque"
     scales = content["unshown_scales"]
     if scales:
         owner, largest = max(scales.items(), key=lambda item: item[1])
@@ -298,18 +298,28 @@ def before_after_text(tests: Content, kind: str = "") -> str:
     return " -> ".join(texts) or "not known"
 
 
+def _errors_text_of(tests: Content, where: str = "", is_by_aside: bool = False) -> str:
+    """Return the relative errors "before" and "after" of a file as it is used, and behind ``where``
+    those with offsets aside, if they are others or the verdict follows from them.
+    """
+    text = f"{before_after_text(tests, '_as_used')}{where}"
+    used, aside = (
+        percent(tests[after]["relative_error"] or 0.0)
+        for after in ("after_as_used", "after")
+    )
+    if aside != used or is_by_aside:
+        text += f" ({before_after_text(tests)} torque offsets aside)"
+    return text
+
+
 def _errors_text(content: Content) -> str:
     """Return a phrase on the torque errors of the file to use, here and on other motions."""
     # A payload is part of both models: the change is that of links and friction.
     load = " with the payload" if content["payload"] else ""
     first = file_to_use(content["file"])
-    text = f"torque error{load} {before_after_text(first, '_as_used')} here"
-    used, aside = (
-        percent(first[after]["relative_error"] or 0.0)
-        for after in ("after_as_used", "after")
-    )
-    if aside != used:
-        text += f" ({before_after_text(first)} torque offsets aside)"
+    # What is as good as before with offsets aside may look much better as it is used.
+    is_by_aside = Verdict[content["status"]] is Verdict.AS_GOOD
+    text = f"torque error{load} {_errors_text_of(first, ' here', is_by_aside)}"
     elsewhere = first["elsewhere"]
     if elsewhere:
         shares = [

@@ -327,9 +327,9 @@ def other_motion_notes(motions: OtherMotions) -> Iterator[str]:
     fitted = motions.fitted
     if motions.still:
         yield Detail(
-            f"{', '.join(motions.still)} stood still: the error on other motions takes friction "
-            "and rotors there to be like those of the other joints, for what a joint carries and "
-            "is built for"
+            f"{', '.join(motions.still)} stood still, or had no torque: the error on other motions "
+            "takes friction and rotors there to be like those of the other joints, for what a "
+            "joint carries and is built for"
         )
     names = fitted.arm.robot.joint_names
     is_moved = [name not in motions.still for name in names]

@@ -73,6 +73,30 @@ def test_two_models_and_logs_alone_are_refused(tmp_path, csv, command):
         told_apart(command, model)
 
 
+def test_a_model_stands_behind_an_option_that_takes_many_files(tmp_path, csv):
+    """argparse gives the option all that follows it."""
+    model = tmp_path / "arm.xml"
+    model.write_bytes(MODELS["arm.xml"])
+    for words in (
+        ("--validation-measurements", csv, model, csv),
+        (csv, "--validation-measurements", csv, model),
+    ):
+        assert told_apart("identify", *words) == (model, (csv,))
+    assert told_apart("check", "--since", csv, csv, model, csv) == (model, (csv,))
+    for words in (
+        ("--empty", csv, "--loaded", csv, csv, model),
+        ("--empty", csv, model, "--loaded", csv, csv),
+    ):
+        values, _ = COMMANDS["payload"].parse([*map(str, words)])
+        given = values["path"], values["empty"], values["loaded"]
+        assert given == (model, (csv,), (csv, csv))
+    with refused("the following arguments are required: MODEL"):
+        told_apart("payload", "--empty", csv, "--loaded", csv)
+    # Of two models, none is taken out of the logs.
+    words = [*map(str, (model, "--empty", csv, "--loaded", csv, model))]
+    assert COMMANDS["payload"].parse(words)[0]["loaded"] == (csv, model)
+
+
 @pytest.mark.parametrize("command", LOGS_OF)
 def test_what_is_missing_or_damaged_has_the_place_that_is_left(tmp_path, csv, command):
     model = tmp_path / "arm.xml"

@@ -163,6 +163,12 @@ def test_a_factor_on_weight_that_is_not_stated_refuses_nothing(
         (149.8, 0.18, "N·cm .* or ozf·in .*, which the ± does not tell apart"),
         (9.4, 0.02, "kgf·cm .* or lbf·in"),
         (30.0, 0.05, "they may be motor currents or counts;"),
+        # Hardly known, it is no number to divide by, whatever masses an arm may have.
+        (
+            3000.0,
+            1.4,
+            "they may be motor currents or counts, or .*; give the torque per",
+        ),
     ],
 )
 def test_a_unit_is_named_where_the_error_leaves_no_other(

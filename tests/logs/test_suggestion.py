@@ -90,6 +90,23 @@ def test_a_joint_without_columns_is_asked_for(truth, tmp_path, form):
     )
 
 
+def test_columns_that_are_left_over_are_those_of_the_joint_without(truth, tmp_path):
+    """A joint that is called otherwise in the log did not stand still."""
+    log = truth.log
+    log_names = ("joint0", "joint1", "shoulder", "joint3")
+    titles = [f"{name}_{of}" for of in ("position", "torque") for name in log_names]
+    rows = np.column_stack((log.time, log.q, log.tau))
+    path = write(tmp_path / "log.csv", rows, ["time", *titles])
+    with refused(
+        "shoulder_position and shoulder_torque are left over, for joint2"
+    ) as caught:
+        open_log(truth.robot, path)
+    ((_, line),) = caught.value.options
+    found = open_log(truth.robot, path, LogOptions(line))
+    np.testing.assert_array_equal(found.q, log.q)
+    np.testing.assert_array_equal(found.tau, log.tau)
+
+
 def test_hundreds_of_columns_are_not_listed(truth, tmp_path):
     """A table with a column per sample, or of another machine."""
     titles = ["time", *map("x{}".format, range(600))]

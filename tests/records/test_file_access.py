@@ -23,6 +23,7 @@ from robot_sysid.records.drafts import HIDDEN_PREFIX
 from robot_sysid.records.file_access import (
     RECORD_NAME,
     atomic_files,
+    is_replaceable,
     plan_settings,
     read_json,
     read_toml,
@@ -276,6 +277,20 @@ def test_an_integer_beyond_all_floats_is_infinite(tmp_path):
     path = tmp_path / "a.json"
     path.write_text("\ufeff[1" + "0" * 400 + ', 3, {"a": null}]', encoding="utf-8")
     assert read_json(path, "") == [math.inf, 3, {"a": None}]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_text_of_windows_is_read(tmp_path, encoding):
+    path = tmp_path / "options.toml"
+    path.write_bytes('joint = "Gelenk β"\r\n'.encode(encoding))
+    assert read_toml(path) == {"joint": "Gelenk β"}
+
+
+def test_a_record_that_is_a_pipe_is_not_waited_for(tmp_path):
+    path = tmp_path / "result.txt"
+    path.write_text("mine")
+    make_pipe(tmp_path / RECORD_NAME)
+    assert not is_replaceable(path)
 
 
 def test_files_folders_and_what_is_not_there_are_left_alone(tmp_path):
