@@ -192,8 +192,8 @@ def _validation_lines(content: Content) -> Iterator[str]:
     file = content["file"]
     if file is not None:
         for test in file["others"]:
-            shares = before_after_text(test)
-            yield f"Torque error of the model on {test['before']['source']}: {shares}"
+            errors = _as_used_text(test)
+            yield f"Torque error of the model on {test['before']['source']}: {errors}"
         sources = [test["before"]["source"] for test in file["others"]]
         tests = [test for test in tests[1:] if test["source"] not in sources]
     for test in tests:
@@ -298,18 +298,28 @@ def before_after_text(tests: Content, kind: str = "") -> str:
     return " -> ".join(texts) or "not known"
 
 
+def _as_used_text(tests: Content, where: str = "") -> str:
+    """Return the errors before and after, ``where`` behind them, as a model file is used.
+
+    No file holds the offset of a sensor, which so is an error. Where it matters, the errors without
+    offsets follow.
+    """
+    text = f"{before_after_text(tests, '_as_used')}{where}"
+    used, aside = (
+        percent(tests[after]["relative_error"] or 0.0)
+        for after in ("after_as_used", "after")
+    )
+    if aside != used:
+        text += f" ({before_after_text(tests)} torque offsets aside)"
+    return text
+
+
 def _errors_text(content: Content) -> str:
     """Return a phrase on the torque errors of the file to use, here and on other motions."""
     # A payload is part of both models: the change is that of links and friction.
     load = " with the payload" if content["payload"] else ""
     first = file_to_use(content["file"])
-    text = f"torque error{load} {before_after_text(first, '_as_used')} here"
-    used, aside = (
-        percent(first[after]["relative_error"] or 0.0)
-        for after in ("after_as_used", "after")
-    )
-    if aside != used:
-        text += f" ({before_after_text(first)} torque offsets aside)"
+    text = f"torque error{load} {_as_used_text(first, ' here')}"
     elsewhere = first["elsewhere"]
     if elsewhere:
         shares = [
