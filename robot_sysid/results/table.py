@@ -228,7 +228,7 @@ def quantity_lines(rows: Sequence[Content], title: str = "") -> Iterator[str]:
     small = [row for row in rows if says_nothing(row) and row["error"]]
     labels = _labels_text(map(label, small))
     if labels:
-        yield f"  not shown, number and change within 2 ±: {labels}"
+        yield f"  zero and unchanged within 2 ±: {labels}"
     yield from legend_lines((heading, *shown))
 
 
