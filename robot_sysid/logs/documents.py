@@ -28,8 +28,15 @@ from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.halves import Half, join_pair
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.ros_messages import READERS
-from robot_sysid.logs.states import named_rows, states_table
-from robot_sysid.logs.table import LogTable, import_optional
+from robot_sysid.logs.states import (
+    MOST_FRAMES,
+    Publisher,
+    Sender,
+    choose_sender,
+    named_rows,
+    states_table,
+)
+from robot_sysid.logs.table import ROWS, LogTable, import_optional
 from robot_sysid.logs.text import (
     Dialect,
     is_names,
@@ -384,7 +391,41 @@ def dialect_table(dialect: Dialect, joint_names: Sequence[str]) -> LogTable:
     quantities = [read_title(title).quantity_beside_name for title in titles]
     if quantities.count("position") < len(joint_names):
         return _long_table(dialect) or plain_table(dialect)
-    return plain_table(dialect)
+    dialect, note = _of_one_publisher(dialect, quantities)
+    table = plain_table(dialect)
+    return replace(table, notes=(*table.notes, note)) if note else table
+
+
+def _of_one_publisher(
+    dialect: Dialect, quantities: Sequence[str | None]
+) -> tuple[Dialect, str]:
+    """Return a table's form with the rows of one publisher alone, and a sentence on the others; ""
+    where it has no frames, or all rows have one.
+
+    ``quantities``: of the columns.
+    """
+    columns = [k for k, t in enumerate(dialect.titles) if _FRAME.search(t)]
+    if len(columns) != 1:
+        return dialect, ""
+    rows_of: dict[str, list[list[str]]] = {}
+    for cells in islice(dialect.rows(), ROWS):
+        if len(cells) == len(dialect.titles):
+            rows_of.setdefault(cells[columns[0]], []).append(cells)
+    if not 1 < len(rows_of) <= MOST_FRAMES:
+        return dialect, ""
+    torques = [k for k, quantity in enumerate(quantities) if quantity == "torque"]
+    senders = []
+    for frame, rows in rows_of.items():
+        efforts = [row[k] for row in rows for k in torques if is_number(row[k])]
+        is_powered = any(abs(parse_cell(effort)) > 0.0 for effort in efforts)
+        publisher = Publisher("", frame, frozenset())
+        senders.append(Sender(publisher, (True, bool(efforts), is_powered), len(rows)))
+    first, note = choose_sender(senders)
+    return replace(dialect, kept=(columns[0], first.publisher.frame)), note
+
+
+# Title of the frame in a message's header, which tells its publisher.
+_FRAME = re.compile(r"(^|[ ._/])frame_?id$", re.IGNORECASE)
 
 
 def _echo_state(cells: Sequence[str]) -> Mapping[str, Any]:

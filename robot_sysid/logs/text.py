@@ -49,6 +49,7 @@ class Dialect:
         header_line: file line of the header; 0 where it has none, or in a comment.
         first_row: the cells of the first row of data, as many as titles; "" for missing ones.
         chunk_size: number of characters that are in memory as lines at a time.
+        kept: column and text of the rows that are read; None for all.
     """
 
     path: Path
@@ -58,6 +59,7 @@ class Dialect:
     header_line: int
     first_row: tuple[str, ...]
     chunk_size: int = 1_000_000
+    kept: tuple[int, str] | None = None
 
     @property
     def starts(self) -> dict[str, int]:
@@ -79,7 +81,7 @@ class Dialect:
             rows = {}
             complaint = ""
             for number, line in enumerate(lines, first):
-                if not _may_be_row(line):
+                if not _may_be_row(line) or not self._is_kept(line):
                     continue
                 try:
                     rows[number] = self._read_row(columns, line)
@@ -95,6 +97,13 @@ class Dialect:
         for _, lines, _ in self._lines():
             for line in filter(_may_be_row, lines):
                 yield split_line(line, self.separator)
+
+    def _is_kept(self, line: str) -> bool:
+        """Return whether a row is one of those that are read."""
+        if self.kept is None:
+            return True
+        column, text = self.kept
+        return split_line(line, self.separator)[column : column + 1] == [text]
 
     def _lines(self) -> Iterator[tuple[int, list[str], float]]:
         """Yield the lines below the header, see ``_read_lines``."""

@@ -186,3 +186,16 @@ def test_rows_of_positions_and_rows_of_torques_in_one_table_are_joined(tmp_path)
     assert "in rows of their own, and are joined by time" in notes_of(log)
     expected = motion(400).tau[1:]
     assert np.max(np.abs(log.tau - expected)) < 0.05
+
+
+def test_publishers_in_a_table_are_told_apart_by_their_frames(tmp_path):
+    rows = []
+    for time, *values in table(DATA).tolist():
+        rows.append([time, "base", *values])
+        rows.append([time + 1e-3, "sim", *values[:3], 0.0, 0.0, 0.0])
+    titles = ["time", "header.frame_id", *TITLES[1:]]
+    log = assert_read(write(tmp_path / "log.csv", rows, titles), DATA)
+    assert "messages of frame 'sim' (no effort but 0" in notes_of(log)
+    one = [row for row in rows if row[1] == "base"]
+    log = assert_read(write(tmp_path / "one.csv", one, titles), DATA)
+    assert "frame" not in notes_of(log)
