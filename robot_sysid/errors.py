@@ -33,7 +33,7 @@ INTERRUPTED = 130
 """Exit code of a process that a signal stopped."""
 EXIT_CODES: Mapping[int, str] = {
     0: "done",
-    1: "result not trustworthy, or something to change before playing",
+    1: "not usable",
     2: "bad input",
     3: "run on the arm refused or stopped",
     INTERRUPTED: "interrupted",

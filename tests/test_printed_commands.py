@@ -16,7 +16,8 @@ import ast
 import contextlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+import shlex
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -197,6 +198,25 @@ def topics_of_two_arms() -> None:
     recorded.write_bag(Path("log"), topics)
 
 
+def torques_in_other_topics() -> None:
+    """A ROS bag with positions in one topic, and torques in two others."""
+    robot = load_robot_model(written_arm())
+    log = truth_of(robot, seed=4).log
+    names = robot.joint_names
+
+    def states(is_torque: bool) -> Callable[[Any], Iterator[Any]]:
+        def messages(types: Any) -> Iterator[Any]:
+            for time, q, tau in zip(log.time, log.q, log.tau):
+                values = (None, None, tau) if is_torque else (q, None, None)
+                yield time, recorded.joint_state(types, time, names, *values)
+
+        return messages
+
+    topics = {"/joint_states": False, "/motor_torques": True, "/raw": True}
+    rows = [(name, STATE, states(of_torque)) for name, of_torque in topics.items()]
+    recorded.write_bag(Path("log"), rows)
+
+
 def topics_of_json() -> None:
     """An MCAP file."""
     robot = load_robot_model(written_arm())
@@ -210,22 +230,67 @@ def topics_of_json() -> None:
     recorded.write_json_mcap(Path("log.mcap"), messages)
 
 
-def a_joint_that_stands() -> None:
-    """It has no column."""
+def log_of_some(
+    position: Collection[int], torque: Collection[int], stands: int
+) -> Callable[[], None]:
+    """Return what writes a log with columns of some joints, of which one stands still."""
+
+    def prepare() -> None:
+        robot = load_robot_model(written_arm())
+        truth = truth_of(robot, seed=4)
+        moves = np.arange(4) != stands
+        place = np.where(moves, 0.0, 0.7)
+        motion = truth.motion
+        motion = Motion(
+            motion.time, place + moves * motion.q, moves * motion.qd, moves * motion.qdd
+        )
+        noise = 0.01 * np.random.default_rng(1).normal(size=motion.q.shape)
+        log = truth.arm.log(motion, noise)
+        names = robot.joint_names
+        titles = ["time", *(f"{names[k]} position" for k in position)]
+        titles += [f"{names[k]} effort" for k in torque]
+        rows = np.column_stack((log.time, log.q[:, position], log.tau[:, torque]))
+        write(Path("log.csv"), rows, titles)
+
+    return prepare
+
+
+def registers_with_a_sign_bit() -> None:
+    """Thousandths of a newton metre, as servos have them: the sign in bit 15."""
     robot = load_robot_model(written_arm())
-    truth = truth_of(robot, seed=4)
-    moving = [0, 1, 3]
-    moves = np.isin(range(4), moving)
-    place = np.where(moves, 0.0, 0.7)
-    motion = truth.motion
-    motion = Motion(
-        motion.time, place + moves * motion.q, moves * motion.qd, moves * motion.qdd
-    )
-    noise = 0.01 * np.random.default_rng(1).normal(size=motion.q.shape)
-    log = truth.arm.log(motion, noise)
-    titles = ["time", *map("q{}".format, moving), *map("tau{}".format, moving)]
-    rows = np.column_stack((log.time, log.q[:, moving], log.tau[:, moving]))
+    log = truth_of(robot, seed=4).log
+    counts = np.round(1000.0 * log.tau)
+    load = np.where(counts < 0.0, 2.0**15 - counts, counts)
+    titles = ["time", *(f"q{k}" for k in range(4))]
+    titles += [f"Present_Load_{k}" for k in range(4)]
+    write(Path("log.csv"), np.column_stack((log.time, log.q, load)), titles)
+
+
+def rows_twice_with_strange_titles() -> None:
+    """A tenth of the rows, which hides that the time increases steadily."""
+    robot = load_robot_model(written_arm())
+    log = truth_of(robot, seed=4).log
+    rows = np.column_stack((log.time, log.q, log.tau))
+    rows = rows[np.sort([*range(len(rows)), *range(0, len(rows), 10)])]
+    titles = ["Takt", *(f"w{k}_pos_x" for k in range(4))]
+    titles += [f"m{k}_torque_x" for k in range(4)]
     write(Path("log.csv"), rows, titles)
+
+
+def publishers_of_one_topic() -> None:
+    """A simulator's messages, without torques, between those of the driver."""
+    robot = load_robot_model(written_arm())
+    log = truth_of(robot, seed=4).log
+
+    def messages(types: Any) -> Iterator[Any]:
+        for k, (time, q, qd, tau) in enumerate(zip(log.time, log.q, log.qd, log.tau)):
+            for late, torque, frame in ((0.0, tau, "base"), (1e-3, 0.0 * tau, "sim")):
+                if frame == "base" or k % 2:
+                    at = time + late
+                    state = (robot.joint_names, q, qd, torque, frame)
+                    yield at, recorded.joint_state(types, at, *state)
+
+    recorded.write_bag(Path("log"), [("/joint_states", STATE, messages)])
 
 
 MOTORS = "--motor-type DM4340 --motor-type DM4340"
@@ -336,6 +401,14 @@ def arm_on_a_free_base() -> None:
     written_arm(small_arms.world(base))
 
 
+def arm_on_a_floating_root() -> None:
+    """Its first link has the name of MuJoCo's own world, and is carried by another one."""
+    links = {f"l{k}": urdf.inertial(4.0 - k) for k in range(1, 4)}
+    arm = urdf.serial(links).replace('"base"', '"world"')
+    root = urdf.joint("odom", "world", "floating")
+    written_arm(urdf.robot(urdf.link("odom"), root, arm), "arm.urdf")
+
+
 def arm_in_tonnes() -> None:
     masses = {"l1": 3e-3, "l2": 2e-3, "l3": 1e-3}
     links = {
@@ -390,6 +463,12 @@ SITUATIONS = {
         ("mjcf.urdf --fix-base",),
         "arm.xml --duration 1",
         arm_on_a_free_base,
+        is_fast=True,
+    ),
+    "free base in the world's place": Situation(
+        ("mjcf.urdf --fix-base",),
+        "arm.urdf --duration 1",
+        arm_on_a_floating_root,
         is_fast=True,
     ),
     "tonnes": Situation(
@@ -523,6 +602,9 @@ SITUATIONS = {
     "topics of two arms": Situation(
         ("logs.ros_bag --topic",), "log log arm.xml", topics_of_two_arms
     ),
+    "torques in other topics": Situation(
+        ("logs.ros_bag --topic",), "log log arm.xml", torques_in_other_topics
+    ),
     "topics of JSON": Situation(
         ("logs.documents --topic",), "log log.mcap arm.xml", topics_of_json
     ),
@@ -570,9 +652,39 @@ SITUATIONS = {
     "joint that stands": Situation(
         ("logs.reader --columns",),
         "log log.csv arm.xml",
-        a_joint_that_stands,
+        log_of_some([0, 1, 3], [0, 1, 3], stands=2),
         is_fast=True,
         knows={"position.joint2": "0.7"},
+    ),
+    "registers with a sign bit": Situation(
+        ("logs.reader --columns", "faults.scales --torque-scale"),
+        "log log.csv arm.xml",
+        registers_with_a_sign_bit,
+    ),
+    "rows twice": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml",
+        rows_twice_with_strange_titles,
+    ),
+    "publishers of one topic": Situation(
+        ("step: log is fine",), "log log arm.xml", publishers_of_one_topic
+    ),
+    "joint without torque": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml",
+        log_of_some([0, 1, 2, 3], [0, 1, 3], stands=2),
+        is_fast=True,
+    ),
+    "joint that stands, without torque": Situation(
+        ("logs.reader --columns",),
+        "log log.csv arm.xml --columns 'position.joint2 = 0.7'",
+        log_of_some([0, 1, 3], [0, 1, 3], stands=2),
+        is_fast=True,
+    ),
+    "last joint without torque": Situation(
+        ("logs.column_map --columns",),
+        "log log.csv arm.xml",
+        log_of_some([0, 1, 2, 3], [0, 1, 2], stands=3),
     ),
     "earlier log in degrees": Situation(
         ("pipeline.comparison command",),
@@ -706,3 +818,43 @@ def test_every_printed_command_leads_on(name, tmp_path, monkeypatch):
     before, after = situation.folders
     if after:
         assert error_elsewhere(after) < error_elsewhere(before)
+
+
+READING = {name: each for name, each in SITUATIONS.items() if each.words[:4] == "log "}
+"""Situations in which a log is read."""
+
+
+def without_command(line: str) -> str:
+    """Return a printed command without its name, and model and log in one order."""
+    name, first, second, *options = shlex.split(line)[1:]
+    names = sorted((first, second)) if name in ("log", "identify") else [name]
+    return shlex.join([*names, *options])
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if each.is_fast else pytest.mark.slow)
+        for name, each in READING.items()
+    ],
+)
+def test_log_and_identify_say_the_same_of_a_log(name, tmp_path, monkeypatch):
+    """What stops one stops the other, in the same words and with the same remedies."""
+    monkeypatch.chdir(tmp_path)
+    READING[name].prepare()
+    log = READING[name].words
+    command, path, model, *options = shlex.split(log)
+    identify = shlex.join(["identify", model, path, *options])
+    codes = []
+    errors = []
+    remedies = []
+    for words in (log, identify):
+        code, output = run_here(f"robot-sysid {words}", is_hasty=True)
+        codes.append(code)
+        errors.append(re.findall("^robot-sysid: error: .*", output, re.MULTILINE))
+        lines = re.findall("^  (robot-sysid .+)$", output, re.MULTILINE)
+        remedies.append(sorted(map(without_command, lines)) if code else [])
+    assert codes[0] == codes[1]
+    assert errors[0] == errors[1]
+    assert remedies[0] == remedies[1]

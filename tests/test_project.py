@@ -45,11 +45,33 @@ Installation
 Prerequisites
 Quick Start
 Usage
+Basic Command
+Command-Line Options
+Usage Examples
+Identify Only Inertial Parameters (No Friction)
+Custom Trajectory Duration and Sample Rate
+Specify Output Directory
+Export Trajectory for Damiao Motors
+Reproducible Results
 Output Formats
+params.json: Identified Parameters
+updated_model.xml: Updated MuJoCo Model
+damiao_trajectory.csv: Motor Trajectory (Optional)
 Understanding the System Identification Approach
+Spatial Dynamics Regressor
+Full Regressor Matrix Derivation
+Excitation Trajectory Design
+Least-Squares Solution
+Base Parameters
 Project Structure
 Troubleshooting
+High RMSE (> 0.1 N·m)
+Low Matrix Rank (< 7 base parameters)
+Simulation Divergence (NaN values)
+Clamping Warnings (Damiao Export)
 Development
+Running Tests
+Test Organization
 Contributing
 Examples
 License
@@ -65,6 +87,7 @@ def test_readme_has_every_section():
 
 def test_readme_is_short_and_leads_to_every_page():
     assert len(README.splitlines()) <= 200
+    assert len(README.split()) <= 1500
     linked = set(re.findall(r"\]\(docs/([\w-]+\.md)", README))
     assert linked >= DOCS - {"index.md"}
 

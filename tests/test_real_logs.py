@@ -155,7 +155,7 @@ def test_tx40s_shared_motor_is_in_its_file(tx40):
     params = json.loads((tx40 / "out" / "params.json").read_text())
     assert motors(params) == ["joint_5+joint_6"]
     notes = " ".join(remark["text"] for remark in params["remarks"])
-    assert "nor motors that turn several joints" in notes
+    assert "no motors that turn several joints" in notes
 
 
 @pytest.mark.slow

@@ -48,20 +48,20 @@ def typestore(storage: str = ""):
     return store
 
 
-def header(types, time: float):
+def header(types, time: float, frame: str = "base"):
     """A time in 2023, with nanoseconds that a float of seconds does not hold."""
     seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
     seconds += START_NS // 10**9
     stamp = types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
     header_type = types["std_msgs/msg/Header"]
     sequence = (0,) if "seq" in header_type.__annotations__ else ()
-    return header_type(*sequence, stamp, "base")
+    return header_type(*sequence, stamp, frame)
 
 
-def joint_state(types, time, names, q, qd, tau):
+def joint_state(types, time, names, q, qd, tau, frame="base"):
     """A JointState; ``None`` leaves a list empty."""
     lists = [np.asarray([] if v is None else v, float) for v in (q, qd, tau)]
-    return types[STATE](header(types, time), list(names), *lists)
+    return types[STATE](header(types, time, frame), list(names), *lists)
 
 
 def later_of_types(messages):

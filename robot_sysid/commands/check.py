@@ -20,6 +20,7 @@ from robot_sysid.records.option_fields import (
     options_of_all,
     record_from,
 )
+from robot_sysid.records.parameters import INERTIAL
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,15 @@ def _table(changes: Sequence[Any], since: bool) -> Iterator[str]:
     """Yield a line for each number that was compared; a ``Detail`` where it does not differ."""
     from robot_sysid.pipeline.changes import DIFFERS
 
+    labels = {each.name: each.label for each in INERTIAL}
     headings = ("value", "±", "usual", "shows from")
     rows = [["change of" if since else "differs from the model", "", *headings, ""]]
     for row in changes:
         error = row.error or 0.0
         numbers = (row.value, error, row.usual, row.least)
         texts = [number_text(number, error) for number in numbers]
-        rows.append([row.of, row.name, *texts, f"{row.unit} {row.reason}".strip()])
+        name = labels.get(row.name, row.name)
+        rows.append([row.of, name, *texts, f"{row.unit} {row.reason}".strip()])
     differs = [row.reason == DIFFERS for row in changes]
     heading, *lines = aligned_lines(rows, headings)
     yield heading if any(differs) else Detail(heading)

@@ -33,6 +33,7 @@ from robot_sysid.records.data import shift_behind
 from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
+from robot_sysid.signals.sign_bits import decode_signs
 from robot_sysid.signals.stamps import even_time, is_sampled_motion
 from robot_sysid.wording import option_name, option_setting, with_option_names
 
@@ -116,12 +117,13 @@ def read_recording(
         InputError: the first fault.
     """
     cells, complaint = read_cells(table, columns, progress)
+    sign_notes = [*restore_signs(columns, cells)]
     cells, copy_notes = without_copies(table, cells)
     restart_notes = separate_recordings(table, columns, cells)
     with prefix_input_errors(str(table.path)):
         columns, cells, further_notes = _complete_columns(columns, cells)
         lines, cells, notes = usable_rows(table, columns, cells, complaint)
-        notes += [*copy_notes, *restart_notes, *further_notes]
+        notes += [*sign_notes, *copy_notes, *restart_notes, *further_notes]
         # With fewer, the other checks mean nothing.
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")
@@ -159,6 +161,28 @@ def read_recording(
         notes += torque_notes(recording)
         require_one_clock(recording)
     return replace(recording, notes=tuple(notes))
+
+
+def restore_signs(columns: ColumnMap, cells: Array) -> Iterator[str]:
+    """Put signed numbers in the place of registers that hold their sign in a bit, and yield notes.
+
+    ``cells``: of all rows, as ``read_cells`` returns them.
+    """
+    names = ("position", "commands" if columns.commanded else "torque", "velocity")
+    place = 2
+    for name, group in zip(names, columns.groups()):
+        indices = [place + k for k, column in enumerate(group) if column.factor]
+        place += len(group)
+        sources = [column for column in group if column.factor]
+        if not sources:
+            continue
+        factors = np.array([column.factor for column in sources])
+        zeros = np.array([column.zero for column in sources])
+        found = decode_signs(cells[:, indices] / factors + zeros)
+        if found:
+            values, way = found
+            cells[:, indices] = (values - zeros) * factors
+            yield f"columns of {name} are numbers as {way}: they are read with their signs"
 
 
 def _complete_columns(

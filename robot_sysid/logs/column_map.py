@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -37,6 +38,13 @@ _Source = tuple[int, float]
 """A column (index) and the factor that was declared for it."""
 _NO_COLUMN = Column(0, "none", 0.0)
 """What stands for the torque of a joint that has none."""
+MOST_WITHOUT = 2
+"""Joints without a torque up to which columns are looked through for them."""
+NO_TORQUE = (
+    "if {joints} has no motor or no sensor, or stood still, say that it has no torque: its "
+    "equation is left out"
+)
+"""What is asked where a joint lacks a column of torque."""
 # What people write in the place of "*": "motor_state[i].q", "avp[1..4]", "JOINT/position".
 _JOINT_FORM = re.compile(
     r"(?<=\[)([ijkn]|\d+ *(\.\.|-|:) *\d+)(?=\])|\{(joint|name|i)\}|(?<![a-zA-Z])JOINT(?![a-zA-Z])",
@@ -159,13 +167,44 @@ class ColumnFinder:
             self.table.first_row,
             self._quantities,
             has_names,
-            self._standing,
+            self._absent,
         )
+
+    @property
+    def _absent(self) -> Mapping[str, Collection[str]]:
+        """Quantity to the joints that need no column of it: they stand still, or have no torque."""
+        torque = self.choices.of("torque")
+        without = [joint for joint, value in torque.items() if value == "none"]
+        standing = {*self._standing}
+        absent: dict[str, Collection[str]] = {"position": standing}
+        if any(without):
+            absent["torque"] = absent["current"] = {*standing, *without}
+        return absent
 
     def declaring(self, key: str, value: str) -> ColumnFinder:
         """Return a finder of the same columns with a declaration more."""
         entries = {**self.choices.entries, key: value}
         return replace(self, choices=replace(self.choices, entries=entries))
+
+    @property
+    def without_torque(self) -> tuple[ColumnFinder, tuple[str, ...]]:
+        """A finder with a declaration more for each joint whose torque has no column, and these
+        joints; () where columns do not tell which they are, or none is missing.
+        """
+        names = self.robot.joint_names
+        if self.driven == "command" or self._is_complete(self.driven):
+            return self, ()
+        for count in range(1, min(len(names) - 1, MOST_WITHOUT + 1)):
+            found = []
+            for joints in combinations(names, count):
+                finder = self
+                for joint in joints:
+                    finder = finder.declaring(f"torque.{joint}", "none")
+                if finder._is_complete(self.driven):
+                    found.append((finder, joints))
+            if found:
+                return found[0] if len(found) == 1 else (self, ())
+        return self, ()
 
     def recognise(self, quantity: str) -> tuple[Column, ...]:
         """Return the columns of a quantity, or of the time, as they are found; () for none."""
@@ -288,6 +327,16 @@ class ColumnFinder:
             raise self._missing_error(quantity)
         return ()
 
+    def _is_complete(self, quantity: str) -> bool:
+        """Return whether each joint has a column of a quantity, or is declared to have none."""
+        try:
+            declared, _ = self._declared_columns(quantity)
+            joints = range(self.robot.n_joints)
+            found = [self._find_joint(quantity, joint, declared) for joint in joints]
+        except InputError:
+            return False
+        return None not in found and any(column.factor for column in found if column)
+
     def _find_joint(
         self, quantity: str, joint: int, declared: Mapping[str, _Source | None]
     ) -> Column | None:
@@ -349,7 +398,15 @@ class ColumnFinder:
                 settings.append(("joint", part[-1]))
             listed = " and ".join(option_name(key, name) for key, name in settings)
             words = [(f"--{key.replace('_', '-')}", name) for key, name in settings]
-            return InputError(f"{fault} {listed} says so", [sum(words, ())])
+            options = [sum(words, ())]
+            fault += f" {listed} says so"
+            finder, without = self.without_torque
+            if quantity == self.driven and without:
+                entries = finder.choices.entries.items()
+                line = ", ".join(f"{key} = {value}" for key, value in entries)
+                fault += f"; otherwise, {NO_TORQUE.format(joints=', '.join(without))}"
+                options.append(("--columns", line))
+            return InputError(fault, options)
         if quantity == "command":
             fault += " (titles such as action, command, q_des or goal_position)"
         if quantity != "torque":
@@ -388,7 +445,10 @@ class ColumnFinder:
         at = [k for k, name in enumerate(names) if name in named]
         if not 2 <= len(at) < len(names) or at[-1] - at[0] >= len(at):
             return ()
-        return names[at[0] : at[-1] + 1]
+        declared = {key.partition(".")[2] for key in self.choices.entries}
+        # A chain without a joint takes no declaration of it.
+        is_declared = not declared.isdisjoint({*names} - {*named})
+        return () if is_declared else names[at[0] : at[-1] + 1]
 
     def _unused_torques(self, used: Collection[int] = ()) -> list[str]:
         """Return the titles of torques of as many joints, with "*" for the joint, and their marks.

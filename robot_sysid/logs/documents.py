@@ -8,6 +8,7 @@ with a number in each cell is read as it is (``text``), and an object of arrays 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -24,6 +25,7 @@ from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table, fields
 from robot_sysid.logs.declarations import ColumnChoices
+from robot_sysid.logs.halves import Half, join_pair
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.ros_messages import READERS
 from robot_sysid.logs.states import named_rows, states_table
@@ -38,8 +40,8 @@ from robot_sysid.logs.text import (
     plain_table,
     read_dialect,
 )
-from robot_sysid.logs.titles import read_title
-from robot_sysid.records import Array
+from robot_sysid.logs.titles import UNITS, read_title
+from robot_sysid.records import Array, Column
 from robot_sysid.records.file_access import number_of_digits
 from robot_sysid.records.servo_setting import ServoSetting
 from robot_sysid.wording import option_name
@@ -174,6 +176,9 @@ def _echo_message(text: str) -> dict[str, Any]:
     for key, block in re.findall(r"^(\w+):((?:\n- .*)+|\s*\[[^\]]*\])", text, re.M):
         items = re.findall(r"(?:^- *|[\[,]\s*)([^,\]\n]+)", block, re.M)
         message[key] = [item.strip("'\" ") for item in items]
+    frame = re.search(r"\bframe_id: *['\"]?([^'\"\s]+)", text)
+    if frame:
+        message["frame_id"] = frame[1]
     stamp = re.search(r"\bsecs?: *(\d+)\s+n(?:ano)?secs?: *(\d+)", text)
     if stamp:
         seconds, nanoseconds = stamp.groups()
@@ -219,15 +224,36 @@ def mcap_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     """
     if not _ENCODING.search(_summary(path)):
         return bag_table(path, joint_names, options)
-    topics: dict[str, list[Any]] = defaultdict(list)
+    states: dict[str, list[Any]] = defaultdict(list)
     for topic, state in _mcap_states(path):
-        topics[topic].append(state)
-    fitting = {}
-    for topic in topics if options.topic is None else {options.topic} & topics.keys():
-        table = states_table(path, f"MCAP, topic {topic}", topics[topic], "message")
-        quantities = {read_title(t).quantity_beside_name for t in table.titles}
-        if quantities >= {"position", "torque"}:
-            fitting[topic] = table
+        states[topic].append(state)
+    tables = {}
+    for topic, its_states in states.items():
+        # A topic of texts holds no numbers.
+        with contextlib.suppress(InputError):
+            table = states_table(path, f"MCAP, topic {topic}", its_states, "message")
+            tables[topic] = _with_time(table)
+    quantities = {
+        topic: {read_title(t).quantity_beside_name for t in table.titles}
+        for topic, table in tables.items()
+    }
+    both = {"position", "torque"}
+    fitting = [topic for topic, named in quantities.items() if named >= both]
+    halves = {
+        key: [topic for topic, named in quantities.items() if named & both == {key}]
+        for key in both
+    }
+    chosen = options.topic
+    measured = [t for t in halves["torque"] if not read_title(t).is_commanded]
+    halves["torque"] = measured if chosen is None else halves["torque"]
+    if chosen is not None:
+        fitting = [topic for topic in fitting if topic == chosen]
+        halves = {k: [chosen] if chosen in each else each for k, each in halves.items()}
+        is_half = any(chosen in each for each in halves.values())
+        halves = halves if is_half else {key: [] for key in both}
+    if not fitting and all(len(each) == 1 for each in halves.values()):
+        position, torque = (tables[halves[key][0]] for key in ("position", "torque"))
+        return _joined_topics(position, torque)
     joint_topics = ", ".join(_ros_topics(path))
     if not fitting and joint_topics:
         raise InputError(
@@ -235,18 +261,41 @@ def mcap_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
             "and its reader takes one kind; write the topic into a bag of its own"
         )
     if len(fitting) != 1:
-        listed = ", ".join(fitting or topics) or "none"
+        listed = ", ".join(fitting or tables) or "none"
         fault = "several topics have" if fitting else "no topic has"
+        offered = fitting
+        if not fitting and all(halves.values()):
+            # One of several topics of torques, or of positions, belongs to the other half.
+            offered = max(halves.values(), key=len)
         raise InputError(
             f"{path}: {fault} positions and torques: {listed}; choose with {option_name('topic')}",
-            options=[("--topic", topic) for topic in fitting],
+            options=[("--topic", topic) for topic in offered],
         )
-    (table,) = fitting.values()
+    return tables[fitting[0]]
+
+
+def _with_time(table: LogTable) -> LogTable:
+    """Return messages with the time at which they were received where they have no stamp."""
     if any(read_title(title).quantity == "time" for title in table.titles):
         return table
-    # Messages without a time stamp.
     titles = ["time [ns]" if t == _RECEIVED else t for t in table.titles]
     return replace(table, titles=tuple(titles))
+
+
+def _joined_topics(position: LogTable, torque: LogTable) -> LogTable:
+    """Return the messages of a topic of positions with the torques of another, joined by time."""
+    halves = []
+    for table, named in ((position, {"position", "velocity"}), (torque, {"torque"})):
+        titles = [read_title(title) for title in table.titles]
+        times = [k for k, title in enumerate(titles) if title.quantity == "time"]
+        indices = [k for k, t in enumerate(titles) if t.quantity_beside_name in named]
+        factor = UNITS["time"].get(titles[times[0]].unit, 1.0)
+        half = replace(table, path=table.path / table.layout.rpartition("/")[2])
+        time = [Column(times[0], table.titles[times[0]], factor)]
+        halves.append((half, time, indices))
+    (q_table, q_time, q), (tau_table, tau_time, tau) = halves
+    joined = join_pair(Half(q_table, q_time, q, []), Half(tau_table, tau_time, [], tau))
+    return replace(joined, path=position.path)
 
 
 def _summary(path: Path) -> bytes:
@@ -349,7 +398,8 @@ def _echo_state(cells: Sequence[str]) -> Mapping[str, Any]:
     lists = np.reshape(cells[3:], (4, -1)).tolist()
     stamp = {"sec": cells[0], "nanosec": cells[1]}
     message = dict(zip(("name", "position", "velocity", "effort"), lists))
-    return {"header": {"stamp": stamp}, **message}
+    header = {"stamp": stamp, "frame_id": cells[2]} if cells[2] else {"stamp": stamp}
+    return {"header": header, **message}
 
 
 def _table_of_series(dialect: Dialect) -> LogTable:

@@ -15,8 +15,9 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices
 from robot_sysid.logs.table import LARGEST_NUMBER, LogTable, make_table
+from robot_sysid.logs.text import is_empty
 from robot_sysid.logs.titles import read_title
-from robot_sysid.records import Array, Column, RobotModel
+from robot_sysid.records import Array, Column, ColumnMap, RobotModel
 from robot_sysid.signals.resampling import bridged_hole, sampling_period
 
 SAME_TIME = 0.01
@@ -27,6 +28,9 @@ LEAST_COMMON = 0.5
 """Share of the shorter file that both have to last together."""
 FILE_QUANTITIES = ("position", "velocity", "torque", "current", "command")
 """Quantities that a file's name may say of its columns."""
+LEAST_OF_EACH = 0.05
+"""Share of rows with positions, and of those with torques, of a table in which they are apart, and
+with both at most."""
 FEWEST_ROWS = 10
 """Rows below which a file has no times to join it by."""
 
@@ -176,6 +180,41 @@ def join_pair(position: Half, torque: Half) -> LogTable:
         starts=table.starts,
     )
     return replace(joined, setting=torque.table.setting.over(table.setting))
+
+
+def join_rows(table: LogTable, columns: ColumnMap) -> LogTable:
+    """Return a table whose rows hold positions or torques, and hardly ever both, as where two
+    topics were written below each other, with the torques at the times of the positions. Another
+    table is returned as it is.
+    """
+    if columns.time is None or columns.joint_time or columns.commanded:
+        return table
+    time = columns.time.index
+    position = [column.index for column in columns.position if column.factor]
+    torque = [column.index for column in columns.torque if column.factor]
+    # Messages, and rows of arrays, hold all of an instant.
+    row = table.first_row
+    is_whole = not any(is_empty(row[k]) for k in (*position, *torque) if row)
+    if is_whole and (row or table.row_noun != "state"):
+        return table
+    first = np.isfinite(table.cells([*position, *torque], 1))
+    has_q = first[:, : len(position)].all(axis=1)
+    has_tau = first[:, len(position) :].all(axis=1)
+    least = LEAST_OF_EACH * len(first)
+    is_apart = min(np.sum(has_q), np.sum(has_tau)) > least > np.sum(has_q & has_tau)
+    if not is_apart:
+        return table
+    q = table.cells([time, *position])
+    tau = table.cells([time, *torque])
+    q, tau, how = _interpolate(table, table, q, tau)
+    cells = np.full((len(q), len(table.titles)), np.nan)
+    cells[:, [time, *position]] = q
+    cells[:, torque] = tau[:, 1:]
+    note = f"positions and torques are in rows of their own, and are joined {how}"
+    arrays = zip(table.titles, cells.T)
+    joined = make_table(table.path, table.layout, arrays, first_row=table.first_row)
+    notes = (*table.notes, note)
+    return replace(joined, notes=notes, choices=table.choices, starts=table.starts)
 
 
 def _are_equal(times: Array, others: Array) -> bool:

@@ -182,7 +182,7 @@ def fit_pattern(
         names = dict(fits)
         if counted:
             numbers = {int(text): column for text, column in fits}
-            order = _order_of_numbers([*numbers], joint_names, True, standing)
+            order = _order_of_numbers([*numbers], joint_names, standing, True)
             columns = [numbers[number] for number in order if number in numbers]
             note = ""
         else:
@@ -212,7 +212,7 @@ def match_joints(
     first_row: Sequence[str],
     quantities: Sequence[str],
     has_names: bool,
-    standing: Collection[str] = (),
+    absent: Mapping[str, Collection[str]],
 ) -> tuple[Candidates, str]:
     """Return the candidate columns of quantities, and a note on how joint names were matched.
 
@@ -226,7 +226,7 @@ def match_joints(
         quantities: of ``Title.joint_quantity``.
         has_names: whether positions are not declared, and their titles may name joints in other
             words than the model.
-        standing: names of joints that need no column of a position.
+        absent: quantity to the names of joints that need no column of it.
 
     Raises:
         InputError: the joints' names are those of two arms, or of another arm.
@@ -250,19 +250,22 @@ def match_joints(
         if len(numbers) == 1:
             counted[quantity, numbers[0]].append(column)
     names = [name for quantity, name in named if has_names and quantity == "position"]
+    standing = absent.get("position", ())
     moving = [name for name in joint_names if name not in standing]
     matched = match_joint_names(names, joint_names)
     if standing and len({*names}) == len(moving):
         matched = matched or match_joint_names(names, moving)
     name_in_log = {joint: name for name, joint in matched.items()}
     candidates = {}
+    order_of_positions: Sequence[int] = ()
     for quantity in quantities:
+        without = absent.get(quantity, standing)
         own_names: Mapping[str, str] = name_in_log
         if quantity == "command":
             own_names = _names_of_commands(named, joint_names) or name_in_log
         by_name = [named[quantity, own_names.get(name, name)] for name in joint_names]
         # Names decide for all joints of a quantity or for none.
-        if not all(by_name[joint_names.index(name)] for name in moving):
+        if not all(c for c, j in zip(by_name, joint_names) if j not in without):
             by_name = [[]] * robot.n_joints
         taken = {*chain(*by_name)}
         by_number = {}
@@ -273,9 +276,15 @@ def match_joints(
         order: Sequence[int] = ()
         if not listed_names:
             order = _order_of_numbers([*by_number], joint_names)
-            order = order or _order_of_numbers(
-                [*by_number], joint_names, standing=standing
-            )
+            # Joints are counted as positions count them.
+            places = [k for k, j in enumerate(joint_names) if j not in without]
+            counting = [order_of_positions[k] for k in places if order_of_positions]
+            if counting and sorted(by_number) == sorted(counting):
+                order = order or order_of_positions
+            elif not order_of_positions or without == standing:
+                order = order or _order_of_numbers([*by_number], joint_names, without)
+        if quantity == "position":
+            order_of_positions = order
         numbered = [by_number.get(k, []) for k in order] or [[]] * robot.n_joints
         candidates[quantity] = [
             [*measured_columns(titles, columns), *measured_columns(titles, others)]
@@ -305,8 +314,8 @@ def _names_of_commands(
 def _order_of_numbers(
     numbers: Sequence[int],
     joint_names: Sequence[str],
-    is_declared: bool = False,
     standing: Collection[str] = (),
+    is_declared: bool = False,
 ) -> Sequence[int]:
     """Return which of the numbers in titles is each joint's, base to terminal; () for no answer.
 

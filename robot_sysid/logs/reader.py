@@ -24,7 +24,7 @@ from robot_sysid.logs import LogOptions, arrays, documents
 from robot_sysid.logs.checks import read_recording
 from robot_sysid.logs.column_map import ColumnFinder
 from robot_sysid.logs.declarations import ColumnChoices, stated_choices
-from robot_sysid.logs.halves import join_halves
+from robot_sysid.logs.halves import join_halves, join_rows
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.matching import UnrecognisedError
 from robot_sysid.logs.ros_bag import bag_table
@@ -99,6 +99,7 @@ def _read_table(
 ) -> Recording:
     """Return the recording in a log, read and checked; ``choices`` are what options declare."""
     columns = _map_columns(ColumnFinder(table, robot, choices.over(table.choices)))
+    table = join_rows(table, columns)
     names = robot.joint_names
     constants = joint_factors(options.torque_constants, names, CONSTANTS)[0]
     scale = joint_factors(options.torque_scale, names, SCALE)[0]

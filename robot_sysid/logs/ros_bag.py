@@ -15,7 +15,7 @@ joint, has them.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterator, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
@@ -40,7 +40,16 @@ from robot_sysid.logs.ros_messages import (
     Readers,
     Sample,
     read_array,
+    read_frame,
     read_stamp,
+)
+from robot_sysid.logs.states import (
+    MOST_FRAMES,
+    Publisher,
+    Rank,
+    Sender,
+    choose_sender,
+    without_frame,
 )
 from robot_sysid.logs.table import (
     LATER,
@@ -51,20 +60,32 @@ from robot_sysid.logs.table import (
     chunk_blocks,
     import_optional,
     make_table,
+    select_columns,
 )
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Column
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.wording import option_name
 
-Message = tuple[int, Sample]
-"""(time of the header, or else of recording [ns since 1970], sample)."""
+FIRST_MESSAGES = 200
+"""Messages of a topic that show what it holds: a second or more, in which each of its publishers
+has sent one."""
+MORE_MESSAGES = 2000
+"""Messages that show which of several publishers has torques: an arm may be switched on late."""
+Message = tuple[int, Sample, Publisher]
+"""(time of the header, or else of recording [ns since 1970], sample, who sent it)."""
 
 
 POSITIONS_ALONE = True, False, False
 """The rank of a topic without torques."""
+TORQUES_ALONE = False, True, True
+"""The rank of a topic without positions."""
 # Words in the names of topics of an arm by which another one is led.
 _LEADERS = frozenset({"leader", "master"})
+
+
+Arrays = Mapping[str, str]
+"""Description of a topic with an array of numbers to its name, "" where it cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +110,7 @@ class Topic:
     @property
     def has_torque_alone(self) -> bool:
         """Whether it has measured torques of the arm's joints, and no positions."""
-        return self.rank == (False, True, True) and not self.is_commanded
+        return self.rank == TORQUES_ALONE and not self.is_commanded
 
     @property
     def is_commanded(self) -> bool:
@@ -102,14 +123,15 @@ class Topic:
 
 
 def choose_topic(
-    path: Path, topics: Sequence[Topic], find_arrays: Callable[[], Sequence[str]] = list
+    path: Path, topics: Sequence[Topic], find_arrays: Callable[[], Arrays] = dict
 ) -> tuple[Topic, str]:
     """Return the topic to read, and a sentence on the others that hold the arm; "" for none.
 
     Args:
         path: of the bag.
         topics: that hold joints.
-        find_arrays: returns descriptions of other topics, in which torques may be.
+        find_arrays: returns descriptions of other topics, in which torques may be, each with the
+            topic's name if it can be read; "" if not.
 
     Raises:
         InputError: topics of two arms fit, or the only one lacks torques.
@@ -122,19 +144,10 @@ def choose_topic(
         measured or fitting,
         key=lambda t: (-t.n_messages, types.index(t.message_type), t.name),
     )
-    if best == POSITIONS_ALONE and not rivals:
-        fault = f"{path}: topic {topic_read.name} has no effort of the arm's joints"
-        with_torque = [t for t in topics if t.has_torque_alone]
-        others = [
-            f"{t.name} ({t.message_type}, {t.n_messages} messages)" for t in with_torque
-        ]
-        others += find_arrays()
-        if others:
-            raise InputError(
-                f"{fault}; torques may be in {', '.join(others)}: write times and torques of "
-                "the joints into a table, those of positions into another one, and give both"
-            )
-        raise InputError(f"{fault}; let the driver publish effort and record again")
+    with_torque = [t for t in topics if t.has_torque_alone]
+    # An effort of zero says no more than none where another topic has torques.
+    if (best == POSITIONS_ALONE and not rivals) or (with_torque and not best[2]):
+        raise _lacking_torque(path, topic_read, with_torque, find_arrays)
     if any(_is_of_another_arm(topic_read.name, rival.name) for rival in rivals):
         fitting = [topic_read, *rivals]
         listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
@@ -153,6 +166,35 @@ def choose_topic(
     return topic_read, note
 
 
+def _lacking_torque(
+    path: Path,
+    topic: Topic,
+    with_torque: Sequence[Topic],
+    find_arrays: Callable[[], Arrays],
+) -> InputError:
+    """Return the error for a topic of positions, with the topics in which torques may be."""
+    others = {
+        f"{t.name} ({t.message_type}, {t.n_messages} messages)": t.name
+        for t in with_torque
+    }
+    if topic.rank == POSITIONS_ALONE:
+        others.update(find_arrays())
+    fault = f"{path}: topic {topic.name} has no effort of the arm's joints"
+    if topic.rank[1]:
+        fault += " but zero"
+    if not others:
+        return InputError(f"{fault}; let the driver publish effort and record again")
+    fault += f"; torques may be in {', '.join(others)}"
+    names = [name for name in others.values() if name]
+    if names:
+        remedy = f"choose theirs with {option_name('topic')}, to be joined by time"
+        return InputError(f"{fault}: {remedy}", [("--topic", name) for name in names])
+    return InputError(
+        f"{fault}: write times and torques of the joints into a table, those of positions into "
+        "another one, and give both"
+    )
+
+
 def _is_of_another_arm(first: str, second: str) -> bool:
     """Return whether the names of two topics are those of two arms.
 
@@ -168,29 +210,47 @@ def _is_of_another_arm(first: str, second: str) -> bool:
 def bag_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return the topic of a bag with the arm's joints: the one of --topic, or the one that fits.
 
+    Where it has positions alone, or torques alone, it is joined with the other half.
+
     InputError where no topic or those of two arms fit, or where the only one lacks torques.
     """
-    topic_option = options.topic
+    chosen = options.topic
     with _open_bag(path) as bag:
         names, described = _joint_topics(bag)
         its_topics = f"its topics: {', '.join(sorted(described)) or 'none'}"
-        if topic_option is not None and topic_option not in names:
-            fault = f"{path} has no joint states in topic {topic_option!r}"
-            raise InputError(f"{fault}; {its_topics}")
         topics: list[Topic] = []
-        for name in [topic_option] if topic_option else sorted(names):
+        for name in sorted(names):
             topics += _read_topic(path, bag, name, joint_names)
+        positions = [topic for topic in topics if topic.rank[0]]
+        torques = [topic for topic in topics if topic.has_torque_alone]
+        if chosen is not None:
+            own = [topic for topic in topics if topic.name == chosen]
+            if (
+                not own
+                and chosen not in names
+                and _are_in_order(positions, joint_names)
+            ):
+                own = [*_array_topics(path, bag, joint_names, chosen)]
+            if not own:
+                fault = f"{path} has no joint states in topic {chosen!r}"
+                raise InputError(f"{fault}; {its_topics}")
+            if own[0].rank == TORQUES_ALONE and positions:
+                torques = own
+                topics = [_with_torques(topic, own[0]) for topic in positions]
+            else:
+                positions = own
+                topics = [*own, *torques] if own[0].rank == POSITIONS_ALONE else own
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
-        torque_topics = [t for t in topics if t.has_torque_alone]
-        if max(topic.rank for topic in topics) == POSITIONS_ALONE:
-            positions = [t for t in topics if t.rank == POSITIONS_ALONE]
-            if not torque_topics and _are_in_order(positions, joint_names):
-                torque_topics = [*_array_topics(path, bag, joint_names)]
-            if len(torque_topics) == 1:
-                topics = [_with_torques(topic, torque_topics[0]) for topic in positions]
+        best = max(topic.rank for topic in topics)
+        # An effort of zero says no more than none where another topic has torques.
+        if best[0] and not best[2]:
+            if not torques and _are_in_order(positions, joint_names):
+                torques = [*_array_topics(path, bag, joint_names)]
+            if len(torques) == 1:
+                topics = [_with_torques(topic, torques[0]) for topic in positions]
         topic, note = choose_topic(
-            path, topics, partial(_arrays_of, bag, len(joint_names))
+            path, topics, partial(_arrays_of, bag, joint_names, positions)
         )
     return replace(topic.table, notes=(*topic.table.notes, *filter(None, [note])))
 
@@ -205,12 +265,11 @@ def _with_torques(position: Topic, torque: Topic) -> Topic:
         kinds = [title.rpartition(" ")[2] for title in topic.table.titles]
         indices = [k for k, kind in enumerate(kinds) if kind in quantities]
         table = replace(topic.table, path=topic.table.path / topic.name.strip("/"))
-        halves.append((table, indices))
+        # Efforts of zero beside the positions are not those of the joints.
+        halves.append(select_columns(table, [0, *indices]))
     time = [Column(0, "time", 1.0)]
-    (position_table, q), (torque_table, tau) = halves
-    joined = join_pair(
-        Half(position_table, time, q, []), Half(torque_table, time, [], tau)
-    )
+    q, tau = ([*range(1, len(half.titles))] for half in halves)
+    joined = join_pair(Half(halves[0], time, q, []), Half(halves[1], time, [], tau))
     table = replace(joined, path=position.table.path)
     return replace(position, table=table, rank=(True, *torque.rank[1:]))
 
@@ -248,17 +307,27 @@ def _array_fields(bag: Any) -> Iterator[ArrayField]:
                 yield ArrayField(*topic, name, int(np.size(value)))
 
 
-def _arrays_of(bag: Any, least: int) -> list[str]:
-    """Return a description of the topics of other messages that hold as many numbers, or more."""
-    sizes: dict[tuple[str, str, int], list[str]] = {}
+def _arrays_of(
+    bag: Any, joint_names: Sequence[str], positions: Sequence[Topic]
+) -> Arrays:
+    """Return the topics of other messages that hold as many numbers as the arm has joints, or more.
+
+    Those with one array of a number per joint can be read, in the order of the joints.
+    """
+    sizes: dict[tuple[str, str, int], list[ArrayField]] = {}
     for field in _array_fields(bag):
-        if field.size >= least:
-            text = f"{field.size} numbers in {field.name}"
-            sizes.setdefault(field[:3], []).append(text)
-    return [
-        f"{topic} ({message_type}: {', '.join(texts)}, {n_messages} messages)"
-        for (topic, message_type, n_messages), texts in sizes.items()
-    ]
+        if field.size >= len(joint_names):
+            sizes.setdefault(field[:3], []).append(field)
+    is_in_order = _are_in_order(positions, joint_names)
+    arrays = {}
+    for (topic, message_type, n_messages), fields in sizes.items():
+        texts = [f"{field.size} numbers in {field.name}" for field in fields]
+        description = (
+            f"{topic} ({message_type}: {', '.join(texts)}, {n_messages} messages)"
+        )
+        is_readable = [field.size for field in fields] == [len(joint_names)]
+        arrays[description] = topic if is_readable and is_in_order else ""
+    return arrays
 
 
 def _are_in_order(topics: Sequence[Topic], joint_names: Sequence[str]) -> bool:
@@ -275,11 +344,17 @@ def _are_in_order(topics: Sequence[Topic], joint_names: Sequence[str]) -> bool:
     return True
 
 
-def _array_topics(path: Path, bag: Any, joint_names: Sequence[str]) -> Iterator[Topic]:
-    """Yield the topics whose messages have one array that is called torque, a number per joint."""
+def _array_topics(
+    path: Path, bag: Any, joint_names: Sequence[str], chosen: str = ""
+) -> Iterator[Topic]:
+    """Yield the topics whose messages have one array of torques, a number per joint: that of a
+    name, or else those that are called so.
+    """
     for field in _array_fields(bag):
         title = read_title(f"{field.topic.replace('/', ' ')} {field.name}")
-        if title.likely_quantity != "torque" or field.size != len(joint_names):
+        is_torque = title.likely_quantity == "torque"
+        is_sought = field.topic == chosen if chosen else is_torque
+        if not is_sought or field.size != len(joint_names):
             continue
         readers = {field.message_type: partial(read_array, field.name, joint_names)}
         for topic in _read_topic(path, bag, field.topic, joint_names, readers):
@@ -325,38 +400,53 @@ def _read_topic(
 
     Joints and quantities are those of its first messages; nothing is yielded where these hold none.
     """
-    # A second or more, in which each publisher of the topic has sent one.
-    messages = list(islice(_read_messages(bag, name, readers), 200))
+    messages = list(islice(_read_messages(bag, name, readers), FIRST_MESSAGES))
+    if len({publisher for *_, publisher in messages}) > 1:
+        messages = list(islice(_read_messages(bag, name, readers), MORE_MESSAGES))
     # A dictionary keeps the keys in the order in which they come first.
-    sent: dict[Key, float] = {}
-    for _, sample in messages:
-        sent.update(sample)
+    sent: dict[Key, None] = {}
+    samples: dict[Publisher, list[Sample]] = {}
+    has_frames = len({p.frame for *_, p in messages}) <= MOST_FRAMES
+    for _, sample, its_publisher in messages:
+        sent.update(dict.fromkeys(sample))
+        key = its_publisher if has_frames else without_frame(its_publisher)
+        samples.setdefault(key, []).append(sample)
     if not sent:
         return
     arm_joints: Collection[str] = ()
     with contextlib.suppress(InputError):
         arm_joints = match_joint_names([joint for joint, _ in sent], joint_names)
-    complete = [
-        quantity
-        for quantity in ("position", *TORQUE)
-        if arm_joints and sent.keys() >= {*product(arm_joints, [quantity])}
-    ]
-    has_torque = not {*complete}.isdisjoint(TORQUE)
-    is_powered = any(map(sent.get, product(arm_joints, TORQUE)))
-    # Others may publish a gripper, or a few joints of the arm, on the same topic.
-    arm_keys = {*product(arm_joints, complete)}
-    notes: tuple[str, ...] = ()
-    if len({sample.keys() >= arm_keys for _, sample in messages}) > 1:
-        notes = (
-            "messages without all joints of the arm, of another publisher, are left out",
-        )
-    else:
-        arm_keys.clear()
     connections = _connections(bag, name, readers)
     message_type = connections[0].msgtype
     n_messages = sum(connection.msgcount for connection in connections)
-    start = min(stamp for stamp, _ in messages)
-    read = partial(_read_chunks, path, name, list(sent), start, arm_keys, readers)
+    ranks = {p: _rank(arm_joints, own) for p, own in samples.items()}
+    # Others may publish a gripper, or a few joints of the arm, on the same topic.
+    senders = [
+        Sender(p, ranks[p], round(n_messages * len(own) / len(messages)))
+        for p, own in samples.items()
+        if ranks[p][0] or ranks[p][1]
+    ]
+    publisher: Publisher | None = None
+    rank = (False, False, False)
+    notes: list[str] = []
+    if senders:
+        sender, note = choose_sender(senders)
+        rank = sender.rank
+        if len(samples) > 1:
+            publisher = sender.publisher
+        if len(senders) < len(samples):
+            notes.append(
+                "messages without all joints of the arm, of another publisher, are left out"
+            )
+        notes += filter(None, [note])
+    start = min(stamp for stamp, *_ in messages)
+
+    def is_read(its_publisher: Publisher) -> bool:
+        """Return whether messages of a publisher are read."""
+        key = its_publisher if has_frames else without_frame(its_publisher)
+        return publisher in (None, key)
+
+    read = partial(_read_chunks, path, name, list(sent), start, is_read, readers)
     titles = ["time", *map(" ".join, sent)]
     table = make_table(
         path,
@@ -364,11 +454,24 @@ def _read_topic(
         [(title, LATER) for title in titles],
         blocks=partial(chunk_blocks, read, n_messages),
         row_noun="message",
-        notes=notes,
+        notes=tuple(notes),
         starts={"time": start},
     )
-    rank = ("position" in complete, has_torque, has_torque and is_powered)
     yield Topic(name, message_type, table, n_messages, rank)
+
+
+def _rank(arm_joints: Collection[str], samples: Sequence[Sample]) -> Rank:
+    """Return whether all samples have positions of the arm's joints, torques, and these not 0."""
+    # Those of one publisher have the same keys.
+    complete = [
+        quantity
+        for quantity in ("position", *TORQUE)
+        if arm_joints and samples[0].keys() >= {*product(arm_joints, [quantity])}
+    ]
+    torques = [*product(arm_joints, {*complete} & {*TORQUE})]
+    # An effort that a driver does not know is NaN.
+    is_powered = any(abs(sample[key]) > 0.0 for sample in samples for key in torques)
+    return "position" in complete, bool(torques), is_powered
 
 
 def _read_chunks(
@@ -376,7 +479,7 @@ def _read_chunks(
     topic: str,
     keys: Sequence[Key],
     start: int,
-    arm_keys: Set[Key],
+    is_read: Callable[[Publisher], bool],
     readers: Readers,
 ) -> Iterator[Chunk]:
     """Yield the samples of a topic in chunks: time from the start [s], and the numbers of ``keys``.
@@ -386,15 +489,15 @@ def _read_chunks(
         topic: its name.
         keys: of the numbers of a sample.
         start: stamp at which time is zero [ns since 1970].
-        arm_keys: without which a sample is left empty.
+        is_read: returns whether messages of a publisher are read; others are left empty.
         readers: of its messages.
     """
     with _open_bag(path) as bag:
         messages = _read_messages(bag, topic, readers)
         while chunk := list(islice(messages, ROWS)):
             rows = []
-            for stamp, sample in chunk:
-                used = sample if sample.keys() >= arm_keys else {}
+            for stamp, sample, publisher in chunk:
+                used = sample if is_read(publisher) else {}
                 numbers = [used.get(key, np.nan) for key in keys]
                 rows.append([NANOSECOND * (stamp - start), *numbers])
             yield [np.array(rows)]
@@ -406,7 +509,11 @@ def _read_messages(bag: Any, topic: str, readers: Readers) -> Iterator[Message]:
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         stamp = read_stamp(message) or int(received)
-        yield stamp, readers[connection.msgtype](message)
+        sample = readers[connection.msgtype](message)
+        # Velocities that are missing now and then make no other publisher.
+        parts = frozenset(key for key in sample if key[1] != "velocity")
+        node = getattr(connection.ext, "callerid", None) or ""
+        yield stamp, sample, Publisher(node, read_frame(message), parts)
 
 
 @contextlib.contextmanager

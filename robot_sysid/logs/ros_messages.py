@@ -47,12 +47,22 @@ Sample = Mapping[Key, float]
 """The numbers of a message: rad or m, rad/s or m/s, and effort in the driver's unit."""
 
 
+def _header(message: Any) -> Any:
+    """Return the header of a message, or None."""
+    # FrankaRobotState holds a JointState, whose header has the time.
+    return getattr(getattr(message, "measured_joint_state", message), "header", None)
+
+
+def read_frame(message: Any) -> str:
+    """Return the frame in the header of a message; "" for none."""
+    return str(getattr(_header(message), "frame_id", ""))
+
+
 def read_stamp(message: Any) -> int:
     """Return when a message was sampled [ns since 1970]; 0 where it does not say."""
     if hasattr(message, "time_stamp_sec"):
         return int(message.time_stamp_sec) * 10**9 + int(message.time_stamp_nano_sec)
-    # FrankaRobotState holds a JointState, whose header has the time.
-    header = getattr(getattr(message, "measured_joint_state", message), "header", None)
+    header = _header(message)
     if header is None:
         return 0
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)

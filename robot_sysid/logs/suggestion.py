@@ -17,7 +17,7 @@ from itertools import chain, permutations
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.logs.column_map import ColumnFinder
+from robot_sysid.logs.column_map import NO_TORQUE, ColumnFinder
 from robot_sysid.logs.declarations import column_text
 from robot_sysid.logs.joint_names import are_opposite_sides, split_name
 from robot_sysid.logs.matching import (
@@ -32,6 +32,7 @@ from robot_sysid.logs.titles import TIME_UNITS, UNITS
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import count_text
 from robot_sysid.signals.filters import integrate
+from robot_sysid.signals.sign_bits import decode_signs
 from robot_sysid.signals.stamps import is_sampled_motion
 
 BLANK = "?"
@@ -517,6 +518,12 @@ def find_driven(
         quantities += ["current", "commanded"]
     if any(key.partition(".")[0] == driven for key in suggestion.entries):
         return suggestion
+    _, without = finder.without_torque
+    if without:
+        reason = NO_TORQUE.format(joints=", ".join(without))
+        for joint in without:
+            suggestion = suggestion.declare(f"torque.{joint}", "none")
+        return suggestion.explain(reason)
     found = (finder.matches(quantity, evidence.groups) for quantity in quantities)
     candidates = next(filter(None, found), [])
     if is_certain(candidates):
@@ -560,7 +567,13 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     samples = _read_samples(finder.table)
     evidence = Evidence(finder, samples, [*_find_groups(finder, samples)])
     groups = evidence.groups
-    if not (groups or find_standing(finder)):
+    signed = []
+    for group in groups:
+        found = decode_signs(evidence.numbers(group))
+        if found:
+            samples[:, [*group.columns]], way = found
+            signed.append(f"{group.text} are numbers as {way}")
+    if not (groups or find_standing(finder) or finder.without_torque[1]):
         return None
     titles = finder.table.titles
     grouped = {*chain.from_iterable(group.columns for group in groups)}
@@ -573,7 +586,7 @@ def suggest_columns(finder: ColumnFinder) -> Suggestion | None:
     )
     entries = finder.choices.entries
     units = tuple(filter(None, [entries.get("units")]))
-    suggestion = Suggestion(entries, units, (f"its columns are {listed}",))
+    suggestion = Suggestion(entries, units, (f"its columns are {listed}", *signed))
     if is_of_servos:
         suggestion = replace(
             suggestion.explain(

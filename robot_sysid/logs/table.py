@@ -197,6 +197,18 @@ class LogTable:
         return np.vstack([none, *(block.cells for block in blocks)])
 
 
+def select_columns(table: LogTable, columns: Sequence[int]) -> LogTable:
+    """Return a table with these columns (indices) alone."""
+
+    def blocks(selected: Sequence[int]) -> Iterator[Block]:
+        """Yield the rows with columns by their places among the selected ones."""
+        return table.blocks([columns[k] for k in selected])
+
+    titles = tuple(table.titles[k] for k in columns)
+    first_row = tuple(table.first_row[k] for k in columns if table.first_row)
+    return replace(table, titles=titles, blocks=blocks, first_row=first_row)
+
+
 def nested_name(group: str, name: str) -> str:
     """Return the name of what lies in a group, ``group/name``; "" is no group."""
     return f"{group}/{name}" if group else name
@@ -277,7 +289,7 @@ def with_whole_stamps(table: LogTable) -> LogTable:
     titles = [*table.titles]
     nanoseconds: dict[int, int] = {}
     for stem, indices in parts.items():
-        if len(indices) < 2:
+        if len(indices) < 2 or not _are_parts(table, **indices):
             continue
         stamp = stem.rstrip(" ._/:-") or "time"
         if read_title(stamp).quantity != "time":
@@ -289,6 +301,18 @@ def with_whole_stamps(table: LogTable) -> LogTable:
         return table
     blocks = partial(_whole_stamps, table.blocks, nanoseconds)
     return replace(table, titles=tuple(titles), blocks=blocks)
+
+
+def _are_parts(table: LogTable, seconds: int, nanoseconds: int) -> bool:
+    """Return whether two columns are whole seconds and the nanoseconds behind them, and not one
+    time in two units.
+    """
+    first = next(table.blocks([seconds, nanoseconds]), None)
+    if first is None:
+        return True
+    whole, rest = first.cells[np.isfinite(first.cells).all(axis=1)].T
+    is_whole = np.all(whole == np.round(whole))
+    return bool(is_whole and np.all((rest >= 0.0) & (rest < 1.0 / NANOSECOND)))
 
 
 def _whole_stamps(

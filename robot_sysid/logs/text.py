@@ -229,6 +229,11 @@ def parse_cell(cell: str, start: str = "") -> float:
     return float(cell.replace(",", "."))
 
 
+def is_empty(cell: str) -> bool:
+    """Return whether a cell is marked empty."""
+    return cell.strip().lower() in _EMPTY
+
+
 def list_in_cell(cell: Any) -> Any:
     """Return the texts in a cell that holds a list, such as "[0.1, 0.2]" or "[0.1 0.2]"; any other
     cell as it is.

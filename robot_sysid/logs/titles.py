@@ -95,8 +95,8 @@ _TRANSLATIONS = by_token(
         "vitesse 速度 角速度 转速 轉速",
         "acceleration": "beschleunigung winkelbeschleunigung aceleracion accelerazione aceleracao "
         "加速度 角加速度",
-        "torque": "drehmoment momenten par esfuerzo momento couple coppia 力矩 扭矩 转矩 轉矩 扭力 "
-        "トルク",
+        "torque": "load drehmoment momenten par esfuerzo momento couple coppia "
+        "力矩 扭矩 转矩 轉矩 扭力 トルク",
         "current": "strom corriente courant corrente 电流 電流",
         "target": "sollwert sollwerte consigna deseada deseado comandada comandado consigne cible "
         "riferimento desiderata desiderato comandata referencia 目标 目標 指令 期望 给定 设定 参考 "

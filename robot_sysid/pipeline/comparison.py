@@ -76,7 +76,8 @@ _READINGS = {
 }
 # What has changed, to what to do.
 _REMEDIES = {
-    Kind.LOAD: "take the load off, or weigh it (payload) and use the model with it",
+    Kind.LOAD: "take off what came on, put back what came off, or weigh it (payload) and use the "
+    "model with it",
     Kind.ZERO: "set the joint's zero anew",
     Kind.SCALE: "calibrate the joint's torque, and look after its gear ratio and motor",
     Kind.OFFSET: "set the torque sensor's zero anew, and look for a cable, a spring or a hose",

@@ -416,8 +416,9 @@ def file_line(file: ExpectedFile, mass_error: float) -> str:
     if np.isfinite(mass_error):
         details.append(f"a load to ± {_mass_text(mass_error)}")
     sentence = (
-        f"Expected of its log: a file {percent(file.least)} (little friction) to "
-        f"{percent(file.after)} (much) off on any motion up to {file.speed:.2g} {file.speed_unit}"
+        f"Expected of its log: a model whose torques are {percent(file.least)} (little friction) "
+        f"to {percent(file.after)} (much) off on any motion up to {file.speed:.2g} "
+        f"{file.speed_unit}"
     )
     return "; ".join([sentence, ", ".join(details)]) if details else sentence
 

@@ -229,7 +229,7 @@ def quantity_lines(rows: Sequence[Content], title: str = "") -> Iterator[str]:
     small = [row for row in rows if says_nothing(row) and row["error"]]
     labels = _labels_text(map(label, small))
     if labels:
-        yield f"  not shown, number and change within 2 ±: {labels}"
+        yield f"  zero and unchanged within 2 ±: {labels}"
     unknown = _labels_text(label(row) for row in rows if is_unknown(row))
     if unknown:
         yield f"  {_UNKNOWN}: {unknown}"

@@ -299,10 +299,11 @@ def servo_lines(result: ServoIdentification) -> Iterator[str]:
     yield f"  {legend}"
     yield from advice_lines(result.advice)
     yield Detail(
-        f"Played on held-out windows of {result.window:.2g} s: root mean square position error "
-        f"{rms(result.before):.3g} rad of the model before, {rms(result.after):.3g} of the new "
-        f'one, {result.goal:.3g} of "position = command of some time before". On other motions '
-        f"expect {result.expected:.2g} rad: the larger of this and {rms(result.fitted):.3g} on "
+        f"In windows of {result.window:.2g} s that were not fitted: root mean square position "
+        f"error {rms(result.before):.3g} rad of the model before, {rms(result.after):.3g} of the "
+        f'new one, {result.goal:.3g} of "position = command of some time before". On other '
+        f"motions expect {result.expected:.2g} rad: the larger of this and "
+        f"{rms(result.fitted):.3g} on "
         "what was fitted"
     )
 

@@ -18,8 +18,8 @@ from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.trajectory import SineTrajectory, StoppingTrajectory
 
 EXPECTED = (
-    r"Expected of its log: a file \S+ % \(little friction\) to \S+ % \(much\) off on any motion up "
-    r"to 2 rad/s; friction to \S+ %, a load to ± \S+ kg"
+    r"Expected of its log: a model whose torques are \S+ % \(little friction\) to \S+ % \(much\) "
+    r"off on any motion up to 2 rad/s; friction to \S+ %, a load to ± \S+ kg"
 )
 SHORT = "--duration 3 --sample-rate 100 --seed 1"
 SINES = ("--excitation sines", SHORT)

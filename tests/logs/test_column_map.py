@@ -123,7 +123,38 @@ def test_a_log_of_a_part_of_the_arm_names_the_options_that_hold_the_rest(
     titles += [f"{name}_torque" for name in part]
     with refused(f"if the arm is {part[0]} to {part[-1]}, ") as caught:
         recognise(["time", *titles], joints)
-    assert caught.value.options == (option,)
+    lacking = [name for name in joints if name not in part]
+    line = ", ".join(f"torque.{name} = none" for name in lacking)
+    without = [("--columns", line)] * (missing == "torque" and bool(line))
+    assert caught.value.options == (option, *without)
+
+
+@pytest.mark.parametrize(
+    ("titles", "lacking"),
+    [
+        ("q0 q1 q2 tau0 tau2", ["j1"]),
+        # Torques are counted as positions are.
+        ("q0 q1 q2 tau1 tau2", ["j0"]),
+        ("q1 q2 q3 tau1 tau2", ["j2"]),
+        ("j0_position j1_position j2_position j0_torque j2_torque", ["j1"]),
+    ],
+)
+def test_a_joint_without_a_column_of_torque_is_told(titles, lacking):
+    """What is found is what is read with the declaration that is offered."""
+    joints = ("j0", "j1", "j2")
+    table = titles_alone(["time", *titles.split()])
+    finder = ColumnFinder(table, arm_of(joints), ColumnChoices())
+    declared, without = finder.without_torque
+    assert [*without] == lacking
+    torque = declared.find_all().torque
+    assert [joints[k] for k, c in enumerate(torque) if not c.factor] == lacking
+
+
+def test_a_joint_without_torque_is_not_told_by_other_titles():
+    for titles in ("q0 q1 q2 tau0 tau1 tau2", "q0 q1 q2", "q0 q1 q2 x0 x1"):
+        table = titles_alone(["time", *titles.split()])
+        finder = ColumnFinder(table, arm_of(("j0", "j1", "j2")), ColumnChoices())
+        assert finder.without_torque[1] == ()
 
 
 # --- torques beside the commands of servos --------------------------------------------------------

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rigs.arms.small_arms import Y, robot_of, serial_arm
+from rigs.files.refusals import refused
 from rigs.logs import recorded
 from rigs.logs.log_files import (
     JOINTS,
@@ -152,6 +153,27 @@ def test_a_sheet_without_titles_and_one_with_a_title_twice_are_refused(tmp_path)
         book.active.cell(1, column, title)
     book.save(path)
     assert_refused("two columns 'q1'", path)
+
+
+def test_topics_of_positions_and_of_torques_in_an_mcap_file_are_joined(tmp_path):
+    """Of two topics of torques, the one that is chosen."""
+    samples = [*zip(DATA.time.tolist(), DATA.q.tolist(), DATA.tau.tolist())]
+    messages: list[tuple[str, int, object]] = []
+    for time, q, tau in samples:
+        stamp = 1_700_000_000 * 10**9 + round(1e9 * time)
+        messages.append(("/state", stamp, {"q": q}))
+        messages.append(("/command", stamp, {"tau": [0.0, *tau[1:]]}))
+        messages.append(("/torque", stamp, {"tau": tau}))
+    path = recorded.write_json_mcap(tmp_path / "log.mcap", messages)
+    log = assert_read(path, DATA)
+    assert "state and torques of" in notes_of(log)
+    messages += [("/raw", s, each) for topic, s, each in messages if topic == "/torque"]
+    messages.sort(key=lambda message: message[1])
+    path = recorded.write_json_mcap(tmp_path / "two.mcap", messages)
+    with refused("no topic has positions and torques.*--topic") as caught:
+        read_measurements(path, JOINTS)
+    assert ("--topic", "/torque") in caught.value.options
+    assert_read(path, DATA, topic="/torque")
 
 
 def test_topics_of_an_mcap_file_are_listed_where_none_or_several_fit(tmp_path):

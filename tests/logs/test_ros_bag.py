@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sqlite3
 from itertools import chain
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from rigs.files.model_files import make_pipe
+from rigs.files.refusals import refused
 from rigs.logs import recorded
 from rigs.logs.log_files import (
     JOINTS,
@@ -68,6 +70,78 @@ def test_messages_of_another_publisher_are_left_out_with_a_note(tmp_path):
         rows = sorted([*arm, *others], key=lambda row: row[0])
         log = assert_read(write_bag(tmp_path / str(number), rows), DATA)
         assert "of another publisher, are left out" in log.notes[-1]
+
+
+ZEROS = [0.0, 0.0, 0.0]
+# What a second publisher sends of a message of the arm.
+OTHERS = {
+    "no motors": lambda t, names, q, qd, tau: (t, names, q, qd, ZEROS, "sim"),
+    "a finger more, no motors": lambda t, names, q, qd, tau: (
+        t,
+        [*names, "finger"],
+        [*q, 0.01],
+        [*qd, 0.0],
+        [*ZEROS, 0.0],
+    ),
+    "no motors that it knows": lambda t, names, q, qd, tau: (
+        t,
+        names,
+        q,
+        qd,
+        [np.nan] * 3,
+        "sim",
+    ),
+    "another frame, and fewer": lambda t, names, q, qd, tau: (
+        t,
+        names,
+        q,
+        qd,
+        2.0 * tau,
+        "other",
+    ),
+}
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "ROS1"])
+@pytest.mark.parametrize("name", OTHERS)
+def test_publishers_of_one_arm_are_told_apart(tmp_path, name, storage):
+    arm = [*rows_of(range(60))]
+    others = [OTHERS[name](row[0] + 1e-3, *row[1:]) for row in arm[::2]]
+    rows = sorted([*arm, *others], key=lambda row: row[0])
+    path = recorded.write_bag(tmp_path / "bag", [topic("/joint_states", rows)], storage)
+    log = assert_read(path, DATA)
+    said = log.notes[-1]
+    assert "of another publisher, are left out" in said
+    assert ("no effort but 0" in said) == ("no motors" in name)
+
+
+def test_a_frame_that_counts_messages_is_no_publisher(tmp_path):
+    rows = [(*row, f"frame{k}") for k, row in enumerate(rows_of(range(60)))]
+    assert_read(write_bag(tmp_path / "bag", rows), DATA)
+
+
+@pytest.mark.parametrize("form", ["echo", "JSON lines"])
+def test_publishers_in_text_are_told_apart_alike(tmp_path, form):
+    names = JOINTS
+    arm = [(*row, "base") for row in rows_of(range(60))]
+    other = [(t + 1e-3, n, q, qd, ZEROS, "sim") for t, n, q, qd, *_ in arm[::2]]
+    lines = []
+    for t, _, q, qd, tau, frame in sorted([*arm, *other], key=lambda row: row[0]):
+        lists = {"position": q, "velocity": qd, "effort": tau}
+        values = {key: [float(x) for x in v] for key, v in lists.items()}
+        if form == "echo":
+            stamp = f"sec: {int(t)}\n    nanosec: {round(1e9 * (t % 1.0))}"
+            head = f"header:\n  stamp:\n    {stamp}\n  frame_id: {frame}\n"
+            keys = {"name": names, **values}
+            lines.append(head + "".join(f"{k}: {[*v]}\n" for k, v in keys.items()))
+            lines.append("---")
+        else:
+            state = {"t": t, "header": {"frame_id": frame}, "name": names, **values}
+            lines.append(json.dumps(state))
+    path = tmp_path / "log.txt"
+    path.write_text("\n".join(lines) + "\n")
+    log = assert_read(path, DATA)
+    assert "messages of frame 'sim' (no effort but 0" in notes_of(log)
 
 
 def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
@@ -210,6 +284,42 @@ def test_torques_in_another_message_are_named_with_their_size(states, arrays, tm
     assert "/commands" not in message
     for name in arrays:
         assert f"{name} ({ARRAYS}: 3 numbers in data, 60 messages)" in message
+
+
+def torque_rows(indices=range(60)):
+    """Rows of torques alone."""
+    return [(t, names, None, None, tau) for t, names, *_, tau in rows_of(indices)]
+
+
+def position_rows(effort=None):
+    """Rows of positions with an effort of zero, or none."""
+    return [(*row[:4], effort) for row in rows_of(range(60))]
+
+
+@pytest.mark.parametrize("effort", [None, ZEROS])
+def test_a_topic_of_positions_is_joined_with_that_of_torques(tmp_path, effort):
+    """Also where the one or the other is chosen."""
+    topics = [
+        topic("/joint_states", position_rows(effort)),
+        topic("/torques", torque_rows()),
+    ]
+    path = recorded.write_bag(tmp_path / "bag", topics)
+    for options in ({}, {"topic": "/joint_states"}, {"topic": "/torques"}):
+        log = assert_read(path, DATA, **options)
+        assert "are one log, joined" in notes_of(log)
+
+
+@pytest.mark.parametrize("effort", [None, ZEROS])
+def test_of_several_topics_of_torques_one_is_chosen(tmp_path, effort):
+    names = ("/a/torques", "/b/torques")
+    topics = [topic("/joint_states", position_rows(effort))]
+    topics += [topic(name, torque_rows()) for name in names]
+    path = recorded.write_bag(tmp_path / "bag", topics)
+    with refused("torques may be in /a/torques .*choose theirs with --topic") as caught:
+        read_measurements(path, JOINTS)
+    assert caught.value.options == tuple(("--topic", name) for name in names)
+    for name in names:
+        assert_read(path, DATA, topic=name)
 
 
 def test_messages_of_another_type_on_the_topic_are_left_alone(tmp_path):

@@ -106,6 +106,16 @@ def test_rows_that_are_appended_once_more_are_no_second_recording(tmp_path, ever
     assert "written twice" in notes_of(log) and "starts again" not in notes_of(log)
 
 
+def test_a_time_in_two_units_is_not_added_to_itself(tmp_path):
+    rows = table(motion(1000))
+    cells = np.column_stack((rows[:, 0], 1e9 * rows))
+    cells[:, 2:] = rows[:, 1:]
+    titles = ["time_sec", "time_nsec", *TITLES[1:]]
+    path = write(tmp_path / "log.csv", cells, titles)
+    log = read_measurements(path, JOINTS, columns="time = time_sec")
+    np.testing.assert_allclose(log.time, rows[:, 0])
+
+
 @pytest.mark.parametrize(
     ("seconds", "nanoseconds"),
     [

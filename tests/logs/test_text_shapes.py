@@ -173,3 +173,16 @@ def test_a_signal_that_is_there_twice_is_refused(tmp_path):
     assert_refused(
         "a row per signal, of which 'q1' is there twice", write_series(tmp_path, names)
     )
+
+
+def test_rows_of_positions_and_rows_of_torques_in_one_table_are_joined(tmp_path):
+    """As a program exports two topics: torques lie a little later."""
+    data = motion(400)
+    rows = []
+    for time, q, tau in zip(data.time, data.q, data.tau):
+        rows.append([time, *q, "", "", ""])
+        rows.append([time + 1e-3, "", "", "", *tau])
+    log = assert_read(write(tmp_path / "log.csv", rows), data[1:], ("q",))
+    assert "in rows of their own, and are joined by time" in notes_of(log)
+    expected = motion(400).tau[1:]
+    assert np.max(np.abs(log.tau - expected)) < 0.05

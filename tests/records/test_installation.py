@@ -26,6 +26,15 @@ def test_without_a_checkout_the_wheel_is_named(tmp_path):
     assert command == f'pip install "{WHEEL}[can]"'
 
 
+def test_a_wheel_is_installed_again_from_where_it_lies(tmp_path):
+    wheel = tmp_path / "a folder" / WHEEL
+    record = tmp_path / f"robot_sysid-{robot_sysid.__version__}.dist-info"
+    record.mkdir()
+    (record / "direct_url.json").write_text(f'{{"url": "{wheel.as_uri()}"}}')
+    command = installation.install_command("can", tmp_path / "robot_sysid")
+    assert command == f'pip install "{wheel}[can]"'
+
+
 def test_no_message_or_page_installs_from_an_index_that_does_not_have_it():
     pages = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.rglob("examples/*.md")]
     for path in [*pages, *Path(robot_sysid.__file__).parent.rglob("*.py")]:
