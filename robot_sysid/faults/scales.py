@@ -495,8 +495,7 @@ def common_finding(
         return little_weight()
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
-    # A factor that is hardly known makes a file that is as far off: only a weight tells it.
-    is_unit = mass_unit(robot, factor) != 1.0 and relative_error < VAGUE
+    is_unit = mass_unit(robot, factor) != 1.0
     units = units_near(factor, relative_error)
     # Counts of a driver may be near a unit by chance, which only masses that no arm has rule out.
     others = units if is_unit else units_near(factor, relative_error, SURE)
@@ -509,7 +508,8 @@ def common_finding(
         options = (torque_scale(units[0] * evidence.divided),)
     name = FaultName.TORQUE_UNIT
     command = ""
-    if is_unit:
+    # A factor that is hardly known makes a file that is as far off: only a weight tells it.
+    if is_unit and (is_told or relative_error < VAGUE):
         remedy = f"they are in another unit{unit_text}: divide them"
     elif not is_told and is_far:
         ways = [torque_scale(size * evidence.divided)[1] for size in others]

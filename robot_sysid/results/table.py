@@ -46,6 +46,7 @@ HEADINGS = ("", "model", "identified", "±", "unit", "change")
 # Cell of a change within ``INTERVAL`` standard errors, which may be none.
 _WITHIN = "within 2 ±"
 _ASSUMED = "assumed"
+_UNKNOWN = "not identifiable"
 # Words in a table to what they mean.
 _LEGEND = {
     "±": "standard error; the true value is within two of them in 95 of 100 cases",
@@ -145,7 +146,7 @@ class Difference(NamedTuple):
 def change(row: Content) -> Difference:
     """Return how a value has changed, with "assumed" where most of it comes from the model."""
     if not is_shown(row):
-        return Difference("not identifiable", False)
+        return Difference(_UNKNOWN, False)
     if row["source"] == BOUND:
         return Difference("at its bound", False)
     difference = _difference(row)
@@ -229,12 +230,20 @@ def quantity_lines(rows: Sequence[Content], title: str = "") -> Iterator[str]:
     labels = _labels_text(map(label, small))
     if labels:
         yield f"  zero and unchanged within 2 ±: {labels}"
+    unknown = _labels_text(label(row) for row in rows if is_unknown(row))
+    if unknown:
+        yield f"  {_UNKNOWN}: {unknown}"
     yield from legend_lines((heading, *shown))
+
+
+def is_unknown(row: Content) -> bool:
+    """Return whether the recordings determine nothing of a row, and it is not the mass."""
+    return not is_shown(row) and row["name"] != BODY[0].name
 
 
 def says_nothing(row: Content) -> bool:
     """Return whether a row tells nothing new: zero and no change are within ``INTERVAL`` standard
-    errors, or the number is bound to what the model says.
+    errors, or the number is not identified, or bound to what the model says.
 
     The mass is asked for, so that it says how little is known; so are all numbers of a payload,
     which no model has.
@@ -242,6 +251,8 @@ def says_nothing(row: Content) -> bool:
     name, before, error = row["name"], row["model"], row["error"]
     if row["source"] == BOUND:
         return bool(row["value"] == before)
+    if is_unknown(row):
+        return True
     is_asked = name == BODY[0].name or (before is None and name not in TERMS)
     if is_asked or not error:
         return False

@@ -158,7 +158,7 @@ MEANINGS: Mapping[Verdict, Meaning] = {
         Level.SAYS,
         "the model predicted torques that were not fitted about as well as noise allows before, "
         "and so does the written one",
-        "Usable, but the model was about as good before",
+        "Usable, but with torque offsets aside the model was about as good here",
     ),
     Verdict.OK: Meaning(
         Level.SAYS, "all requested parameters are identified from the data"

@@ -165,7 +165,7 @@ def test_a_factor_on_weight_that_is_not_stated_refuses_nothing(
         (30.0, 0.05, "they may be motor currents or counts;"),
         # Hardly known, it is no number to divide by, whatever masses an arm may have.
         (
-            3000.0,
+            1000.0,
             1.4,
             "they may be motor currents or counts, or .*; give the torque per",
         ),

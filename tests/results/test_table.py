@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from rigs.files import results as made
 from robot_sysid.records.file_access import strict_json
+from robot_sysid.records.messages import Detail
 from robot_sysid.records.quantities import DATA, MODEL, Quantity, body_quantities
-from robot_sysid.results.table import cells
+from robot_sysid.results.table import cells, quantity_lines
 
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
 
@@ -36,6 +37,16 @@ def test_a_share_of_the_prior_is_that_of_mass_and_moment_together():
         by_name = {row.name: row.source for row in rows}
         assert (by_name["com_x"], by_name["com_y"]) == sources
         assert by_name["Ixx_about_com"] == DATA
+
+
+def test_one_line_names_what_is_not_identified():
+    """But for the mass, which is asked for: a model's value is no answer."""
+    of = {"model": 1.0, "value": 1.0, "error": None, "source": MODEL, "unit": "kg"}
+    names = ("mass", "hy", "Ixx", "Ixy")
+    rows = [{"name": name, "of": "it", "reason": "", **of} for name in names]
+    lines = [line for line in quantity_lines(rows) if not isinstance(line, Detail)]
+    assert len(lines) == 3 and lines[1].split()[0] == "mass"
+    assert lines[2] == "  not identifiable: CoM moment y; inertia xx, xy"
 
 
 def test_rounding_is_no_number():
