@@ -46,7 +46,16 @@ _USES = {
 # terminal; the first beginning that fits counts.
 _COLOURS = {
     31: ("Not usable", "robot-sysid: error", "STOP"),
-    33: ("Usable, but", "Usable (", "Usable for", "Watch", "note", "doubts", "Changed"),
+    33: (
+        "Usable, but",
+        "Usable (",
+        "Usable for",
+        "Watch",
+        "Log can",
+        "note",
+        "doubts",
+        "Changed",
+    ),
     32: ("Usable", "Log is fine", "Self-test passed", "Unchanged"),
     1: ("Copy into", "Next"),
 }

@@ -59,7 +59,8 @@ def run(values: Mapping[str, Any], console: Console) -> int:
         }
     )
     require_acceptable([log], findings, log_options.accept)
-    console.stage("Log is fine: nothing that stops an identification was found")
+    start = "Log can be used, with what is said above" if findings else "Log is fine"
+    console.stage(f"{start}: nothing that stops an identification was found")
     console.stage(*step_after(SAME_LOG, values, log=paths).lines())
     return 0
 

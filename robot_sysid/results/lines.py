@@ -268,10 +268,10 @@ def file_to_use(file: Content) -> Content:
 def _what_to_watch(content: Content, elsewhere: Content | None) -> Iterator[str]:
     """Yield phrases on what the errors of a result do not cover, or come from."""
     if elsewhere and elsewhere["faster"]:
-        slow = f"{elsewhere['log_speed']:.2g} {elsewhere['speed_unit']}"
+        # The speed of the fastest joint says nothing of the one that was too slow.
         of_log = percent(elsewhere["at_log_speeds"]["relative_error"])
         yield (
-            f"motions faster than the log's ({slow}; up to there {of_log}): record faster, mostly "
+            f"motions faster than the log's (at its speeds {of_log}): record faster, mostly "
             f"{elsewhere['faster']}"
         )
     if elsewhere and elsewhere["still"]:

@@ -136,7 +136,7 @@ def test_the_printed_tables_have_all_columns_and_numbers_with_their_errors():
     assert float(value) == pytest.approx(FOUND["gain"], rel=0.02)
     expected = 0.02 * UNKNOWNS["gain"].deviation * FOUND["gain"]
     assert float(error) == pytest.approx(expected, rel=0.05)
-    (played,) = (line for line in lines if line.startswith("Played"))
+    (played,) = (line for line in lines if line.startswith("In windows"))
     assert "5 s" in played and "1 rad of the model before, 0.1 of the new" in played
     delays = [line for line in lines if "delay" in line]
     assert len(delays) == 2

@@ -60,6 +60,7 @@ from robot_sysid.records.option_fields import (
     options_of_all,
     record_from,
 )
+from robot_sysid.wording import option_name
 
 
 def check(session: Session) -> int:
@@ -80,7 +81,12 @@ def check(session: Session) -> int:
         if inspection is not None and not is_mapped and unverified:
             session.conclude(*session.verdict, step_at_arm(session))
         return 1
-    session.conclude("Usable: ready to play", play_step(session, plan))
+    ready = "Usable: ready to play"
+    if inspection is None:
+        ready += (
+            f", as far as the file tells; no motor was asked ({option_name('channel')})"
+        )
+    session.conclude(ready, play_step(session, plan))
     return 0
 
 
