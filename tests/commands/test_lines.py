@@ -37,7 +37,7 @@ TABLE = (
     (r"  .* identified  ", "Of which link and joint?"),
     (r"  (mass|centre of mass|inertia|dry|Coulomb|viscous) ", "Which numbers changed?"),
     (r"  (torque offset|rotor inertia|friction at) ", "Which numbers changed?"),
-    (r"  not shown, ", "Which numbers does the log not show?"),
+    (r"  (zero and unchanged|not identif)", "Which numbers does the log not show?"),
     (r"  ±: ", "What is the ±?"),
     (r"  Inertia not known: ", "Can I use the inertia?"),
 )
