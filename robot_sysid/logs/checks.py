@@ -88,6 +88,11 @@ above which rows are missing: as many at least. It is several times what two joi
 right logs, by steps of a coarse encoder, and far less than where a second is missing."""
 MOST_CUTS = 10
 """Places at which rows are missing up to which a log is cut there."""
+LEAST_VISITS = 10
+"""Times that all torques are zero at once from which it is no chance."""
+MOST_ROWS_AT_ONCE = 20.0
+"""Rows without any torque one after the other, on average, up to which they lie between those of
+the driver: an arm that stands on its brakes has hundreds."""
 LEAST_TRAVEL = 0.01
 """Travel below which a joint does not move [rad or m]."""
 LEAST_MOTION = 0.1
@@ -121,9 +126,11 @@ def read_recording(
     cells, copy_notes = without_copies(table, cells)
     restart_notes = separate_recordings(table, columns, cells)
     with prefix_input_errors(str(table.path)):
+        cells, unpowered_notes = without_unpowered(columns, cells)
         columns, cells, further_notes = _complete_columns(columns, cells)
         lines, cells, notes = usable_rows(table, columns, cells, complaint)
-        notes += [*sign_notes, *copy_notes, *restart_notes, *further_notes]
+        notes += [*sign_notes, *copy_notes, *restart_notes, *unpowered_notes]
+        notes += further_notes
         # With fewer, the other checks mean nothing.
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")
@@ -183,6 +190,31 @@ def restore_signs(columns: ColumnMap, cells: Array) -> Iterator[str]:
             values, way = found
             cells[:, indices] = (values - zeros) * factors
             yield f"columns of {name} are numbers as {way}: they are read with their signs"
+
+
+def without_unpowered(columns: ColumnMap, cells: Array) -> tuple[Array, list[str]]:
+    """Return cells without the rows between others in which every torque is zero, and a note.
+
+    A second program that publishes the same arm, as a simulator does, has no torques, and nothing
+    else may tell its rows from the driver's. No two sensors read zero at once, again and again.
+
+    ``cells``: of all rows, as ``read_cells`` returns them.
+    """
+    place = 2 + len(columns.position)
+    torque = [place + k for k, column in enumerate(columns.torque) if column.factor]
+    if columns.commanded or len(torque) < 2:
+        return cells, []
+    is_unpowered = np.all(cells[:, torque] == 0.0, axis=1)
+    count = np.count_nonzero(is_unpowered)
+    visits = np.count_nonzero(np.diff(is_unpowered, prepend=False) & is_unpowered)
+    is_between = visits >= LEAST_VISITS and count <= MOST_ROWS_AT_ONCE * visits
+    if not is_between or count == len(cells):
+        return cells, []
+    note = (
+        f"left out rows in which every torque is 0, as another program sends them: {count} of "
+        f"{len(cells)}"
+    )
+    return cells[~is_unpowered], [note]
 
 
 def _complete_columns(

@@ -203,6 +203,28 @@ def test_rows_that_repeat_between_two_samples_are_left_out(tmp_path, copied):
     assert f"between two samples: {len(copies)} (first: line 3)" in notes_of(log)
 
 
+@pytest.mark.parametrize("each", [1, 3])
+def test_rows_of_a_program_that_knows_no_torque_are_left_out(tmp_path, each):
+    """It sends one row behind each, or every third one, of the driver's."""
+    data = motion()
+    others = table(data)[::each].copy()
+    others[:, 0] += 2e-3
+    others[:, 4:7] = 0.0
+    rows = np.concatenate((table(data), others))
+    log = read_table(tmp_path, rows[np.argsort(rows[:, 0])])
+    np.testing.assert_array_equal(table(log), table(data))
+    assert f"another program sends them: {len(others)} of {len(rows)}" in notes_of(log)
+
+
+@pytest.mark.parametrize("rows", [np.s_[100:200], np.s_[40:60:4]])
+def test_torques_of_zero_that_do_not_lie_between_others_stay(tmp_path, rows):
+    """As of an arm on its brakes, or by chance."""
+    numbers = table(motion())
+    numbers[rows, 4:7] = 0.0
+    log = read_table(tmp_path, numbers)
+    assert len(log) == len(numbers) and "another program" not in notes_of(log)
+
+
 @pytest.mark.parametrize(
     "repeated", [np.r_[40:80], np.r_[40, 41, 60, 90:95, 120]], ids=["at rest", "stale"]
 )
