@@ -234,8 +234,8 @@ def test_named_values_fit_together(result):
     assert abs(result.mass - 4.0) < 3.0 * result.standard_errors["m"]
     assert result.failure is None
     lines = str(result).split("\n")
-    assert lines[0].startswith("Bolted on beyond the model: ")
-    assert lines[1].startswith("  link3 with all on it ")
+    assert lines[0].startswith("On the flange, not in the model: ")
+    assert lines[1].startswith("  link3 and joint3 ")
 
 
 def test_a_result_is_the_same_after_pickling(result, tmp_path):
