@@ -405,7 +405,8 @@ class ColumnFinder:
                 entries = finder.choices.entries.items()
                 line = ", ".join(f"{key} = {value}" for key, value in entries)
                 fault += f"; otherwise, {NO_TORQUE.format(joints=', '.join(without))}"
-                options.append(("--columns", line))
+                # First what is right of joints that move, too.
+                options.insert(0, ("--columns", line))
             return InputError(fault, options)
         if quantity == "command":
             fault += " (titles such as action, command, q_des or goal_position)"
