@@ -32,6 +32,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     from robot_sysid.faults.gate import judge, require_acceptable
     from robot_sysid.logs.reader import open_logs
     from robot_sysid.parser import load_robot_model
+    from robot_sysid.records.messages import Level
 
     paths = record_from(LogArgument, values).log
     log_options = record_from(LogOptions, values)
@@ -47,7 +48,9 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     options = with_scale_prior(EstimationOptions(), log_options, robot.joint_names)
     findings = judge(robot, [log], Question(options), console).findings
-    console.stage(*(finding.line() for finding in findings))
+    # What refuses the log is in the error.
+    said = [each for each in findings if each.level is not Level.REFUSES]
+    console.stage(*(finding.line() for finding in said))
     console.result(
         {
             "log": log.name,
