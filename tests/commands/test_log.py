@@ -205,7 +205,8 @@ def test_a_result_in_spite_of_a_doubt_is_not_called_usable_without_that_word(com
     assert not Path(OUT, "updated_model.xml").exists()
     printed = command.run("identify arm.xml late.csv --accept held")
     assert (
-        "\nUsable only if the accepted doubts do no harm: torque error" in printed.out
+        "\nUsable only if the accepted doubts do no harm: sysid_output/updated_model.xml; torque error"
+        in printed.out
     )
     content = schemas.check(OUT / "params.json")
     assert content["status"] == "ACCEPTED" and not content["valid"]["trustworthy"]

@@ -319,14 +319,14 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     equipment = Equipment(RefusedClock(), refuse_real_time, COARSE_STEP)
     motors = MotorsCommandLine(capsys, equipment)
     record = tmp_path / "measured.csv"
-    arguments = ("--model", model, "--fd --rate 50 --overwrite --record", record)
+    arguments = ("--model", model, "-v --fd --rate 50 --overwrite --record", record)
     out = motors.succeed("simulate", trajectory, *arguments)
     assert (
         "played 26 cycles, 0 skipped; started late by 0.00 ms" in out
         and len(opened) == once > 0
     )
-    # The check that is printed records nothing.
-    assert "Next, with the arm connected, check" in out and "--overwrite" not in out
+    # The command that is printed records nothing.
+    assert "Next, with the arm connected, find out" in out and "--overwrite" not in out
     assert "friction of which the model knows nothing" in out
     assert "identify" in out and "--accept computed" not in out
     recording = read_recording(record)
@@ -338,7 +338,7 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     assert "identify" not in out and "knows nothing" not in out
     assert record.read_bytes() != first
     out = motors.succeed("simulate", trajectory, *arguments, "--speed 0.9")
-    assert "Next, with the arm connected, check" in out and "identify" not in out
+    assert "Next, with the arm connected, find out" in out and "identify" not in out
 
 
 def test_every_rate_that_is_proposed_passes(motors, bus, trajectory):

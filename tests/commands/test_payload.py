@@ -79,7 +79,7 @@ def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_goo
 ):
     printed = command.run("payload", *record_logs(models, swapped=True), code=1)
     assert "look swapped" in printed.err
-    left = sorted(path.name for path in OUT.iterdir())
+    left = sorted(path.name for path in OUT.glob("[!.]*"))
     assert left == ["params.json", "report_data.npz", "run.toml"]
     content = schemas.check(OUT / "params.json")
     assert content["status"] == "SWAPPED" and not content["valid"]["trustworthy"]

@@ -58,7 +58,7 @@ def test_a_motion_that_is_refused_is_played_after_a_smaller_one(command):
     words = ["motors", "simulate", file, "--model", str(GUESS), "--record", record]
     assert rehearsal == words
     printed = command.run(*rehearsal)
-    words = ["motors", "check", file, "--model", str(GUESS), "--channel", "can0"]
+    words = ["motors", "map", "--channel", "can0", "--model", str(GUESS)]
     assert last_command(printed.out) == words
     slow = read_damiao_trajectory("first/weighing/damiao_trajectory.csv")
     assert np.max(np.abs(slow.tau)) < 0.5 * PEAK and np.max(np.abs(slow.qd)) <= 0.6
