@@ -187,7 +187,7 @@ class Walk:
             for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
                 mujoco.MjModel.from_xml_path(json.loads(path))
             next_commands, remedies = commands_in(output)
-            if "Next, if what is bolted on" in output and not self._has_tool:
+            if "Next, if it can be taken off" in output and not self._has_tool:
                 next_commands = []
             if self.steps[-1].code == REFUSED and remedies:
                 # Of several commands, the first: each is for another arm or topic.

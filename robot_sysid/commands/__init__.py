@@ -57,7 +57,7 @@ _COLOURS = {
         "Changed",
     ),
     32: ("Usable", "Log is fine", "Self-test passed", "Unchanged"),
-    1: ("Copy into", "Next"),
+    1: ("Copy into", "Next", "If "),
 }
 COMMAND_STARTS = ("  robot-sysid ", "  pip install ", "  pip uninstall ")
 """Beginnings of lines that are a command and nothing else, which can be pasted into a shell."""

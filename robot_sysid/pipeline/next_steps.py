@@ -87,7 +87,7 @@ STEPS: Mapping[str, Step] = {
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
     "further motion": Step(
-        "Next, if {now} on other motions is too much, plan another motion: with its log about "
+        "If {now} on other motions is too much, plan another motion: with its log about "
         "{expected} there",
         "plan {model} {options} --output-dir {folder}/planned",
         starts_motion=True,

@@ -20,7 +20,7 @@ MOST_LINES = {
 }
 """Transcript to the number of lines that its command may print at most."""
 NEXT = (
-    (r"Next, ", "What do I do next?"),
+    (r"Next, |If ", "What do I do next?"),
     (r"  robot-sysid ", "By which command?"),
     (r"Record it as ", "And then?"),
 )

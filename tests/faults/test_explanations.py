@@ -82,7 +82,9 @@ TORQUES = {
     "rises by": lambda t: t.log.tau * (1.0 + 0.03 * t.log.time)[:, None] + spring(t, 2),
     "force: of the links' weight is missing": lambda t: t.log.tau - 0.6 * t.still,
     "gravity": lambda t: t.log.tau - t.rigid,
-    "torque-scale: multiply the masses": lambda t: 100.0 * t.log.tau,
+    "torque-scale: multiply the masses": lambda t: 4.0 * t.log.tau,
+    # Of N·cm and ozf·in the error leaves both.
+    "torque-unit: motor currents or counts": lambda t: 100.0 * t.log.tau,
     "torque-scale: torque of joint joint3 alone reads": lambda t: (
         t.log.tau * [1.0, 1.0, 1.0, 1e3]
     ),
@@ -205,7 +207,7 @@ REMEDIES = {
     "torque-scale: multiply the masses": lambda log, finding: replace(
         # Torques were divided by two already.
         log,
-        tau=log.tau / (0.5 * float(finding.options[1][1])),
+        tau=log.tau / (0.5 * float(finding.options[1][1].partition("+-")[0])),
     ),
 }
 """Fault to the log that its finding advises."""
