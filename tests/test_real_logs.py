@@ -77,7 +77,7 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     assert (tmp_path / "updated_model.urdf").exists()
     mass = rows(params)[params["body_name"], "mass"]
     assert mass["error"] > 0.5 * mass["value"]
-    assert "the mass of lwr_7_link alone is not known: " in capsys.readouterr().out
+    assert "The mass of lwr_7_link alone is not known: " in capsys.readouterr().out
 
 
 @pytest.mark.slow
