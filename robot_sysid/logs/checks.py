@@ -93,6 +93,9 @@ LEAST_VISITS = 10
 MOST_ROWS_AT_ONCE = 20.0
 """Rows without any torque one after the other, on average, up to which they lie between those of
 the driver: an arm that stands on its brakes has hundreds."""
+ALTERNATING = -0.9
+"""Correlation of steps of a torque with the steps after them, below which two torques alternate:
+noise alone has -0.5, and right logs a little less where they are filtered oddly."""
 LEAST_TRAVEL = 0.01
 """Travel below which a joint does not move [rad or m]."""
 LEAST_MOTION = 0.1
@@ -167,6 +170,7 @@ def read_recording(
         notes += [*turn_notes(recording, robot, columns), *rest_notes(recording, robot)]
         notes += torque_notes(recording)
         require_one_clock(recording)
+        require_one_source(recording)
     return replace(recording, notes=tuple(notes))
 
 
@@ -518,6 +522,24 @@ def require_one_clock(recording: Recording) -> None:
             f"joints' own time stamps run backwards, or are of another clock (up to "
             f"{difference:.3g} s off the row's); keep them out with 'joint_time = none' in the "
             f"file of {option_name('columns')}"
+        )
+
+
+def require_one_source(recording: Recording) -> None:
+    """Raise InputError where the torques of all joints alternate from row to row.
+
+    Two programs that publish one arm, with torques of two sensors or in two units, make such rows,
+    and the links that follow are of neither.
+    """
+    if recording.command is not None:
+        return
+    steps = np.diff(recording.tau, axis=0)
+    steps = steps[:, np.any(steps, axis=0)]
+    products = np.sum(steps[1:] * steps[:-1], axis=0)
+    if steps.size and np.all(products < ALTERNATING * np.sum(steps**2, axis=0)):
+        raise InputError(
+            "the torques of all joints alternate from row to row between two values, as where two "
+            "programs publish one arm: stop one of them and record again, or keep the rows of one"
         )
 
 

@@ -204,10 +204,8 @@ def test_a_result_in_spite_of_a_doubt_is_not_called_usable_without_that_word(com
     command.refused("identify arm.xml late.csv", code=1)
     assert not Path(OUT, "updated_model.xml").exists()
     printed = command.run("identify arm.xml late.csv --accept held")
-    assert (
-        "\nUsable only if the accepted doubts do no harm: sysid_output/updated_model.xml; torque error"
-        in printed.out
-    )
+    use = "\nUsable only if the accepted doubts do no harm: "
+    assert f"{use}sysid_output/updated_model.xml; torque error" in printed.out
     content = schemas.check(OUT / "params.json")
     assert content["status"] == "ACCEPTED" and not content["valid"]["trustworthy"]
     (remark,) = (each for each in content["remarks"] if each["level"] == "doubts")

@@ -216,6 +216,20 @@ def test_rows_of_a_program_that_knows_no_torque_are_left_out(tmp_path, each):
     assert f"another program sends them: {len(others)} of {len(rows)}" in notes_of(log)
 
 
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_torques_of_two_programs_that_alternate_are_refused(tmp_path, factor):
+    rows = table(motion())
+    rows[1::2, 4:7] *= factor
+    with refused("alternate from row to row between two values"):
+        read_table(tmp_path, rows)
+
+
+def test_noise_does_not_alternate(tmp_path):
+    rows = table(motion())
+    rows[:, 4:7] += np.random.default_rng(0).standard_normal((len(rows), 3))
+    assert len(read_table(tmp_path, rows)) == len(rows)
+
+
 @pytest.mark.parametrize("rows", [np.s_[100:200], np.s_[40:60:4]])
 def test_torques_of_zero_that_do_not_lie_between_others_stay(tmp_path, rows):
     """As of an arm on its brakes, or by chance."""
