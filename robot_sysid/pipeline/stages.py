@@ -38,7 +38,11 @@ from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Detail, NextStep, Progress, percent
-from robot_sysid.records.option_fields import given_values
+from robot_sysid.records.option_fields import (
+    command_arguments,
+    given_values,
+    options_of_all,
+)
 from robot_sysid.records.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import Identification
 from robot_sysid.results.self_test import self_test_result
@@ -222,8 +226,10 @@ def step_after_run(config: Config, result: Identification) -> NextStep | None:
     """Return what to do after an identification that may be used, or None for nothing more."""
     arm = vars(config.model)
     folder = config.output.output_dir
-    if not result.is_measured:
-        return step_after("self-test passed", arm, folder=folder)
+    if isinstance(config, SelfTestConfig) and not result.is_measured:
+        motors = config.motors
+        export = command_arguments(vars(motors), options_of_all(motors))
+        return step_after("self-test passed", arm, *export, folder=folder)
     if isinstance(config, PayloadConfig):
         payload = config.payload
         scales = payload.save_torque_scale

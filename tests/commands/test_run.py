@@ -144,3 +144,11 @@ def test_lists_that_do_not_fit_the_joints_are_refused(command, arm):
     message = command.refused("plan", arm, *SINES, "--max-torque 0.1,0.2")
     need = "--max-torque takes one number, or one per joint of the chain, which has 4"
     assert need in message
+
+
+def test_the_plan_after_a_self_test_is_for_the_same_motors(command, arm):
+    printed = command.run(arm, *SHORT, *EXPORT)
+    lines = printed.out.splitlines()
+    (line,) = (line for line in lines if line.startswith("  robot-sysid plan"))
+    assert line.count("--motor-type DM4340") == 4 and "--export-damiao" in line
+    assert command.run(arm, *SHORT).out.count("--motor-type") == 0
