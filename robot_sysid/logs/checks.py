@@ -10,7 +10,7 @@ cannot be those of this arm). Both name the first line and a remedy.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import compress
 from typing import Any
@@ -28,7 +28,7 @@ from robot_sysid.logs.table import (
     without_copies,
 )
 from robot_sysid.logs.titles import TIME_UNITS, UNITS, read_title
-from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
+from robot_sysid.records import Array, Column, ColumnMap, Recording, RobotModel
 from robot_sysid.records.data import shift_behind
 from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.cutoff import FEWEST_SAMPLES
@@ -138,9 +138,8 @@ def read_recording(
         if len(lines) < 10:
             count = count_text(len(lines), "usable row")
             raise InputError(f"the log has only {count}; record longer")
-        widths = [2, *map(len, columns.groups())]
-        groups = np.split(cells, np.cumsum(widths)[:-1], axis=1)
-        _, q, tau, qd, motor_torque, stamps = groups
+        groups = (cells[:, place] for place in group_places(columns))
+        q, tau, qd, motor_torque, stamps = groups
         for joint in np.flatnonzero(~robot.is_slide):
             # Full turns by which the position jumps against the row before.
             step = np.diff(q[:, joint])
@@ -174,16 +173,26 @@ def read_recording(
     return replace(recording, notes=tuple(notes))
 
 
+def group_places(columns: ColumnMap) -> list[slice]:
+    """Return where each of ``ColumnMap.groups`` stands in cells, behind line and time."""
+    ends = np.cumsum([2, *map(len, columns.groups())]).tolist()
+    return [slice(*pair) for pair in zip(ends, ends[1:])]
+
+
+def measured(columns: Sequence[Column], place: slice) -> list[int]:
+    """Return where cells hold those of a group's columns that are in the log."""
+    places = range(place.start, place.stop)
+    return [k for k, column in zip(places, columns) if column.factor]
+
+
 def restore_signs(columns: ColumnMap, cells: Array) -> Iterator[str]:
     """Put signed numbers in the place of registers that hold their sign in a bit, and yield notes.
 
     ``cells``: of all rows, as ``read_cells`` returns them.
     """
     names = ("position", "commands" if columns.commanded else "torque", "velocity")
-    place = 2
-    for name, group in zip(names, columns.groups()):
-        indices = [place + k for k, column in enumerate(group) if column.factor]
-        place += len(group)
+    for name, group, place in zip(names, columns.groups(), group_places(columns)):
+        indices = measured(group, place)
         sources = [column for column in group if column.factor]
         if not sources:
             continue
@@ -204,8 +213,7 @@ def without_unpowered(columns: ColumnMap, cells: Array) -> tuple[Array, list[str
 
     ``cells``: of all rows, as ``read_cells`` returns them.
     """
-    place = 2 + len(columns.position)
-    torque = [place + k for k, column in enumerate(columns.torque) if column.factor]
+    torque = measured(columns.torque, group_places(columns)[1])
     if columns.commanded or len(torque) < 2:
         return cells, []
     is_unpowered = np.all(cells[:, torque] == 0.0, axis=1)

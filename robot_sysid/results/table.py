@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import compress
 from typing import NamedTuple
 
 from robot_sysid.dynamics.friction import TERMS
@@ -222,17 +223,18 @@ def quantity_lines(rows: Sequence[Content], title: str = "") -> Iterator[str]:
     if not rows:
         return
     heading, *lines = table_lines(map(cells, rows), title)
-    shown = [line for row, line in zip(rows, lines) if not says_nothing(row)]
+    silent = [*map(says_nothing, rows)]
     yield heading
-    for row, line in zip(rows, lines):
-        yield Detail(line) if says_nothing(row) else line
-    small = [row for row in rows if says_nothing(row) and row["error"]]
+    for is_silent, line in zip(silent, lines):
+        yield Detail(line) if is_silent else line
+    small = [row for row in compress(rows, silent) if row["error"]]
     labels = _labels_text(map(label, small))
     if labels:
         yield f"  zero and unchanged within 2 ±: {labels}"
     unknown = _labels_text(label(row) for row in rows if is_unknown(row))
     if unknown:
         yield f"  {_UNKNOWN}: {unknown}"
+    shown = [line for is_silent, line in zip(silent, lines) if not is_silent]
     yield from legend_lines((heading, *shown))
 
 
