@@ -794,14 +794,16 @@ class Follower:
         return any(self.leads_on(each, is_step, depth + 1) for each in further)
 
 
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize(
-    "name",
-    [
+def cases(situations):
+    """The names of situations; most of them are slow."""
+    return [
         pytest.param(name, marks=() if each.is_fast else pytest.mark.slow)
-        for name, each in SITUATIONS.items()
-    ],
-)
+        for name, each in situations.items()
+    ]
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("name", cases(SITUATIONS))
 def test_every_printed_command_leads_on(name, tmp_path, monkeypatch):
     folder = tmp_path / "my arm"
     folder.mkdir()
@@ -832,13 +834,7 @@ def without_command(line: str) -> str:
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if each.is_fast else pytest.mark.slow)
-        for name, each in READING.items()
-    ],
-)
+@pytest.mark.parametrize("name", cases(READING))
 def test_log_and_identify_say_the_same_of_a_log(name, tmp_path, monkeypatch):
     """What stops one stops the other, in the same words and with the same remedies."""
     monkeypatch.chdir(tmp_path)

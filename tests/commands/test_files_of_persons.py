@@ -17,6 +17,7 @@ import pytest
 import robot_sysid as rs
 from rigs.arms import small_arms
 from rigs.files.command_line import files_in
+from rigs.files.other_process import running
 from rigs.files.places import ROOT
 from rigs.logs.measured_logs import XML, log_of, true_arm
 from rigs.motors.damiao_rig import swing, trajectory_file
@@ -205,16 +206,8 @@ with claim([("--output-dir", Path(path)) for path in sys.argv[1:]]):
 @pytest.fixture
 def other_run(place):
     """Another process that is writing to out/."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", OCCUPYING, "out/x"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-    )
-    process.stdout.readline()
-    yield process
-    process.kill()
-    process.wait()
-    process.stdout.close()
+    with running(OCCUPYING, "out/x", folder=place) as process:
+        yield process
 
 
 def test_a_second_run_is_refused_and_a_killed_one_taken_over(place, other_run, capsys):

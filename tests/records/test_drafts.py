@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from rigs.files.places import ROOT
+from rigs.files.other_process import running
 from robot_sysid.records.drafts import new_draft, remove_leftovers, temporary_folder
 from robot_sysid.records.file_access import RECORD_NAME, write_atomically
 
@@ -39,17 +37,8 @@ FOREIGN = (
 @pytest.fixture
 def other_run(tmp_path):
     """Another run in the folder, which has a draft and a folder there."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", WAITING],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-    )
-    process.stdout.readline()
-    yield process
-    process.kill()
-    process.wait()
-    process.stdout.close()
+    with running(WAITING, folder=tmp_path) as process:
+        yield process
 
 
 def hidden(folder):
