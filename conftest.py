@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections import Counter
 from pathlib import Path
 
@@ -26,6 +27,47 @@ settings.register_profile(
     report_multiple_bugs=False,
 )
 settings.load_profile("few")
+
+
+SECONDS = "processor_seconds"
+"""Key of the processor time that a test took, in the properties of its report."""
+
+
+def pytest_addoption(parser):
+    """Take --slowest N: the processor time of single tests, which a busy machine hardly changes."""
+    parser.addoption(
+        "--slowest", type=int, default=0, help="N tests with most processor time"
+    )
+
+
+def processor_seconds():
+    """Return the processor time of this process and of those that it has run [s]."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Note when a test begins, its fixtures included."""
+    item.began = processor_seconds()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_makereport(item, call):
+    """Put the processor time of a test into its last report."""
+    if call.when == "teardown":
+        item.user_properties.append((SECONDS, processor_seconds() - item.began))
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Print the slowest tests, where they are asked for."""
+    seconds = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            properties = dict(getattr(report, "user_properties", ()))
+            if SECONDS in properties:
+                seconds[report.nodeid] = properties[SECONDS]
+    for name, value in seconds.most_common(config.getoption("slowest")):
+        terminalreporter.write_line(f"{value:6.2f} s of processor time: {name}")
 
 
 @pytest.hookimpl(tryfirst=True)
