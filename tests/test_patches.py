@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
+from tests.test_architecture import nodes_of
+
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (ROOT / "tests", ROOT / "rigs")
 
 
-def from_package(tree: ast.AST) -> set[str]:
+def from_package(nodes: Iterable[ast.AST]) -> set[str]:
     """The names that a file imports from the package."""
     names = {
         alias.asname or alias.name.split(".")[0]
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, (ast.Import, ast.ImportFrom))
         for alias in node.names
         if (getattr(node, "module", None) or alias.name).split(".")[0] == "robot_sysid"
     }
-    return names | parameters_from(tree, names)
+    return names | parameters_from(nodes, names)
 
 
-def parameters_from(tree: ast.AST, names: set[str]) -> set[str]:
+def parameters_from(nodes: Iterable[ast.AST], names: set[str]) -> set[str]:
     """The parameters of tests that stand for one of these names, or a part of it, in some case."""
     return {
         parameter
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("parametrize")
+        for node in nodes
+        if isinstance(node, ast.Call)
+        and getattr(node.func, "attr", None) == "parametrize"
         for case in getattr(node.args[1], "elts", ())
         for parameter, value in parameters_of(node.args[0], case)
         if isinstance(value, (ast.Name, ast.Attribute))
@@ -56,9 +60,9 @@ def private(name: str) -> bool:
 
 def faults(source: str) -> Iterator[str]:
     """Each patch of the package, and each private name that is imported from it."""
-    tree = ast.parse(source)
-    names = from_package(tree)
-    for node in ast.walk(tree):
+    nodes = nodes_of(source)
+    names = from_package(nodes)
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
             "robot_sysid"
         ):
@@ -80,6 +84,8 @@ def faults(source: str) -> Iterator[str]:
                 yield f"{target}: {ast.unparse(named)}".replace("lambda :", "lambda:")
 
 
+BASE_OR_PRIVATE = re.compile(r"class \w+\(|self\._|    def _[a-z]")
+"""What no module lacks whose classes have a base or a private name."""
 OWN = "self", "super"
 """By what a method reaches its object."""
 
@@ -92,11 +98,13 @@ class ClassOf(NamedTuple):
 
 
 def classes_of(module: str, source: str) -> dict[tuple[str, str], ClassOf]:
-    """The classes of a module, by module and name."""
-    tree = ast.parse(source)
+    """The classes of a module in which any has a base or a private name, by module and name."""
+    if not BASE_OR_PRIVATE.search(source):
+        return {}
+    nodes = nodes_of(source)
     origins = {
         alias.asname or alias.name: (node.module, alias.name)
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.ImportFrom) and node.module
         for alias in node.names
     }
@@ -112,7 +120,7 @@ def classes_of(module: str, source: str) -> dict[tuple[str, str], ClassOf]:
             {name for name in own_names(node) if private(name)},
             [origin(base) for base in node.bases],
         )
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.ClassDef)
     }
 

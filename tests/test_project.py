@@ -243,7 +243,7 @@ MUTABLE = {"ModelDocument", "SimulatedMotor"}
 def test_records_cannot_be_changed():
     mutable = set()
     for source in package_sources().values():
-        for node in nodes_of(source):
+        for node in nodes_of(source) if "dataclass" in source else ():
             for decorator in getattr(node, "decorator_list", ()):
                 text = ast.unparse(decorator)
                 if text.startswith("dataclass") and "frozen=True" not in text:
