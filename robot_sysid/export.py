@@ -115,7 +115,8 @@ def save(
                 written, notes = _write_models(result, target, options.as_body)
             except ExportError as error:
                 failure = (
-                    f"{error} (the identified numbers are in {file_access.PARAMS_NAME})"
+                    f"no model was written: {error} (the identified numbers are in "
+                    f"{file_access.PARAMS_NAME})"
                 )
             if payload is not None:
                 written.append(folder / file_access.CARD_NAME)
@@ -126,8 +127,8 @@ def save(
         if motor_file is not None:
             motor_paths, clamping = motor_file(files, folder)
             written += motor_paths
-        has_curved = file_access.curved_file_in(written) is not None
-        content = content_of(result, card, notes, failure, has_curved)
+        names = {path.name for path in written}
+        content = content_of(result, card, notes, failure, names)
         step = None if content["failure"] else step
         verdict = last_lines(content, written, step)
         written.append(folder / file_access.PARAMS_NAME)
@@ -161,28 +162,31 @@ def _write_models(
 
     An arm from a URDF gets both where MuJoCo alone would not load the URDF, or where the best model
     needs an MJCF: that MJCF, and the best URDF. Where friction bends with speed, an MJCF that has
-    it is beside them, if MuJoCo knows such friction.
+    it is beside them, if MuJoCo knows such friction. A note says why one of them is not written.
 
     Raises:
-        ExportError: one of them cannot be written; then neither is.
+        ExportError: none of them can be written.
     """
-    kinds = dict.fromkeys((result.model_kind, result.robot.kind))
     written = []
     notes: list[str] = []
-    try:
-        for file_kind in kinds:
-            path = target.path / file_access.MODEL_NAMES[file_kind]
-            model_target = replace(target, path=path)
-            file_notes = write_model(result, model_target, as_body, file_kind)
-            if file_kind != result.model_kind:
-                # Of the file beside the one to use.
-                file_notes = tuple(Detail(f"{path.name}: {n}") for n in file_notes)
-            notes += file_notes
-            written.append(model_target.path)
-    except ExportError:
-        for path in written:
-            target.files.withdraw(path)
-        raise
+    failures = []
+    for file_kind in dict.fromkeys((result.model_kind, result.robot.kind)):
+        path = target.path / file_access.MODEL_NAMES[file_kind]
+        try:
+            file_notes = write_model(
+                result, replace(target, path=path), as_body, file_kind
+            )
+        except ExportError as error:
+            failures.append(error)
+            notes.append(f"{path.name} is not written: {error}")
+            continue
+        if file_kind != result.model_kind:
+            # Of the file beside the one to use.
+            file_notes = tuple(Detail(f"{path.name}: {n}") for n in file_notes)
+        notes += file_notes
+        written.append(path)
+    if not written:
+        raise failures[0]
     curved, curved_notes = _write_curved(result, target, as_body)
     return [*written, *curved], [*notes, *curved_notes]
 

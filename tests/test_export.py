@@ -32,7 +32,7 @@ from robot_sysid.records.file_access import json_text
 from robot_sysid.records.quantities import FILE
 from robot_sysid.results import content as rows
 from robot_sysid.results.verdicts import Verdict
-from tests.results.test_written_model import checkpoints, payload_of, result_of
+from tests.results.test_written_model import checkpoints, file_of, payload_of, result_of
 
 THETA = random_theta(np.random.default_rng(1), 2.0)
 EARLIER = {name: f"an earlier {name}" for name in (*RESULT_NAMES, "report_data.npz")}
@@ -109,6 +109,32 @@ def test_an_mjcf_stands_beside_a_urdf_whose_meshes_mujoco_does_not_read(tmp_path
     for path in output.files[:2]:
         theta = load_robot_model(path).prior.theta
         assert_allclose(theta, robot.prior.theta + THETA, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("has_rotor", [False, True])
+def test_a_file_that_cannot_be_written_costs_only_itself(
+    tmp_path, out, monkeypatch, has_rotor
+):
+    """What is said of errors is of a file that is there."""
+
+    def fail(*arguments):
+        raise mujoco.FatalError("no room")
+
+    mesh = urdf.mesh("collision", "package://arm/l2.dae")
+    links = {"l1": urdf.inertial(), "l2": urdf.inertial() + mesh}
+    text = urdf.robot(urdf.serial(links))
+    robot = load_robot_model(write_files(tmp_path / "in", {"arm.urdf": text}))
+    numbers = {"armature": 0.1} if has_rotor else {"damping": 0.1}
+    result = replace(heavier(robot), **file_of({"l1_l2": numbers}))
+    monkeypatch.setattr(mujoco, "mj_saveLastXML", fail)
+    progress = NoteRecorder()
+    output = save_result(result, out, progress)
+    assert names_in(out) == ["params.json", "updated_model.urdf"]
+    assert output.verdict[0].startswith(f"Usable: {out}/updated_model.urdf")
+    (note,) = [note for note in progress.notes if "not written" in note]
+    assert note.startswith("updated_model.xml is not written: ") and "no room" in note
+    file = json.loads((out / "params.json").read_text())["file"]
+    assert (file and file["name"]) == (None if has_rotor else "updated_model.urdf")
 
 
 def test_a_payload_has_a_card_beside_the_model(robot, out):

@@ -145,7 +145,7 @@ CHANGES = (
 def console(result):
     """Return the printed lines of a result; those of --verbose begin with "-v"."""
     # Whatever friction this MuJoCo knows.
-    content = content_of(result, has_curved=False)
+    content = content_of(result, written=())
     lines = [
         *block_lines(content, False),
         *more_lines(content),
@@ -186,7 +186,7 @@ def params():
         payload = RESULTS[name].payload
         card = payload and number_groups(payload)
         content = {
-            **content_of(RESULTS[name], card, ("another",), has_curved=False),
+            **content_of(RESULTS[name], card, ("another",), written=()),
             "versions": None,
         }
         lines.append(f"== {name}")

@@ -49,6 +49,39 @@ def serial(links, fixed=()):
     return "\n".join([link("base"), *map(link, links, links.values()), *joints])
 
 
+def drawn_tree(rng, n_links=6):
+    """The text of a URDF in which joints of all kinds, some of which mimic another, are turned."""
+    names = ["base"]
+    moving = []
+    parts = [link("base")]
+    for k in range(n_links):
+        name = f"l{k}"
+        kind = str(rng.choice(["revolute", "continuous", "prismatic", "fixed"]))
+        moments = rng.uniform(0.5, 1.0, 3) * 10.0 ** rng.uniform(-4.0, -1.0)
+        turn = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+        inertia = turn @ np.diag(moments) @ turn.T
+        mass = 10.0 ** rng.uniform(-1.0, 1.0)
+        at = 0.1 * rng.normal(size=3)
+        parts.append(link(name, urdf_inertial_about_com(mass, at, inertia)))
+        more = f'<axis xyz="{_numbers(rng.normal(size=3))}"/>'
+        more += '<limit lower="-1.23456789" upper="2.3456789" effort="9" velocity="1"/>'
+        more += f'<dynamics damping="{rng.uniform()}" friction="{rng.uniform()}"/>'
+        if kind != "fixed" and moving and rng.random() < 0.3:
+            factor, offset = rng.normal(size=2)
+            leader = rng.choice(moving)
+            more += f'<mimic joint="{leader}" multiplier="{factor}" offset="{offset}"/>'
+        elif kind != "fixed":
+            moving.append(f"j{k}")
+        place = _numbers(rng.normal(size=3))
+        parts.append(
+            f'<joint name="j{k}" type="{kind}"><origin xyz="{place}" '
+            f'rpy="{_numbers(rng.normal(size=3))}"/><parent link="{rng.choice(names)}"/>'
+            f'<child link="{name}"/>{more}</joint>'
+        )
+        names.append(name)
+    return robot(*parts)
+
+
 def write_bodies(folder, bodies):
     """The path of an arm of links with mass, centre of mass and inertia about that."""
     links = {name: urdf_inertial_about_com(*body) for name, body in bodies.items()}

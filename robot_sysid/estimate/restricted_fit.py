@@ -51,7 +51,7 @@ from robot_sysid.spatial import N_INERTIAL
 
 ROOM = 1.001
 """Room that the last link has for bodies on joints of their own, such as fingers, over what they
-need: an MJCF of a URDF has six digits of where they sit, which would leave none beside them."""
+need: rounding of where they sit would leave none beside them."""
 WORTH = 0.01
 """Least share by which friction that bends lowers the held-out torque error, to be worth a second
 file. It is no test of significance, which would lose half of what bends gain on other motions: the

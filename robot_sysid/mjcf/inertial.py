@@ -76,7 +76,7 @@ def plan_write_back(
     if theta is None:
         raise ExportError(
             f"the identified parameters of body '{name}' are not a possible rigid body, or leave "
-            "none beside what hangs on it on joints of its own, so no model was written; use a "
+            "none beside what hangs on it on joints of its own; use a "
             "longer motion, or a model without fingers that the arm did not have"
         )
     notes = []

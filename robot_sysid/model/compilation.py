@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import locale
 import os
 import re
@@ -52,9 +53,10 @@ _NAN = re.compile(r"(?<!\S)[-+]?nan(?!\S)", re.IGNORECASE)
 AXES_ERROR = 1e-2
 """Largest error of a compiled inertia, as a share of its trace, that comes of MuJoCo's principal
 axes before release 3.14: these have about six digits, fewer where two moments are nearly equal."""
-DIGITS_ERROR = 1e-4
-"""Relative difference up to which a mass that MuJoCo wrote, with six digits, is the compiled
-one."""
+ALL_DIGITS = 17
+"""Number of digits that a number of 64 bits needs to be read as the same one."""
+_LONG_NUMBER = re.compile(r'(?<=[" ])-?\d+\.\d{12,}(?:e[-+]\d+)?(?=[" ])')
+"""What MuJoCo writes with so many digits, between the spaces and quotes of an attribute."""
 # Arrays of an MjModel whose numbers are checked.
 _MUST_BE_FINITE = (
     "body_mass",
@@ -338,16 +340,18 @@ def _is_spec(model: Any) -> bool:
 def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
     """Return a temporary MJCF file of a model file, removed when this process ends.
 
-    MuJoCo writes it, with six digits of all numbers but those of inertials. ModelError where the
-    model does not compile.
+    MuJoCo writes it, with all digits. ModelError where the model does not compile.
     """
     mjcf = lasting_folder() / "model.xml"
     # A floating joint that MuJoCo does not take has been fixed by whoever loaded the model.
     mj_model = compile_model(path, mesh_dir, fix_base=True).mj_model
     # MuJoCo writes only the last model that was loaded.
-    with captured_warnings():
-        mujoco.mj_saveLastXML(str(mjcf), mj_model)
-    _write_all_digits(mjcf, mj_model)
+    with captured_warnings(), all_digits():
+        try:
+            mujoco.mj_saveLastXML(str(mjcf), mj_model)
+        except FAILURES as error:
+            raise ModelError(f"MuJoCo cannot write it: {error_text(error)}") from None
+    _write_exactly(mjcf, mjcf.read_text(encoding="utf-8"), mj_model)
     return mjcf
 
 
@@ -356,11 +360,46 @@ def lasting_folder() -> Path:
     return _FOLDERS.enter_context(temporary_folder())
 
 
-def _write_all_digits(path: Path, model: Any) -> None:
-    """Give the inertials in an MJCF that MuJoCo wrote of an MjModel all their digits.
+@contextlib.contextmanager
+def all_digits() -> Iterator[None]:
+    """Let MuJoCo write the numbers of a block with all their digits, where it would write six.
 
-    Six digits make a flat body one with moments that no body has.
+    Six digits of where joints sit change torques by more than a written model may differ, and those
+    of a flat body's inertia make it one that no body has. MuJoCo has the setting for its own tests,
+    without a place in Python.
     """
+    folder = Path(mujoco.__file__).parent
+    paths = [path for path in folder.glob("*mujoco*") if path.suffix != ".py"]
+    library = next(filter(None, map(_library_with_digits, sorted(paths))), None)
+    if library is None:
+        raise ModelError(
+            f"MuJoCo {mujoco.__version__} writes models with six digits only; install another "
+            "release"
+        )
+    usual = library._mjPRIVATE__get_xml_precision()
+    library._mjPRIVATE__set_xml_precision(ALL_DIGITS)
+    try:
+        yield
+    finally:
+        library._mjPRIVATE__set_xml_precision(usual)
+
+
+def _library_with_digits(path: Path) -> Any:
+    """Return MuJoCo's library of that path, if it is one and has the setting of digits."""
+    with contextlib.suppress(OSError):
+        library = ctypes.CDLL(str(path))
+        return library if hasattr(library, "_mjPRIVATE__set_xml_precision") else None
+    return None
+
+
+def _write_exactly(path: Path, text: str, model: Any) -> None:
+    """Write an MJCF that MuJoCo made of an MjModel, each number as short as it is read the same.
+
+    The inertials have the numbers of the model: releases before 4 take what is nearer than 1e-12 to
+    a whole number for that, which makes a flat body one with moments that no body has.
+    """
+    short = _LONG_NUMBER.sub(lambda number: format_number(float(number[0])), text)
+    path.write_text(short, encoding="utf-8")
     document = read_document(path)
     for node, body in zip(document.root.iter("body"), range(1, model.nbody)):
         inertial = node.find("inertial")
@@ -368,7 +407,7 @@ def _write_all_digits(path: Path, model: Any) -> None:
         if inertial is None or node.get("name", "") != model.body(body).name:
             continue
         mass = model.body_mass[body]
-        if np.isclose(float(inertial.get("mass", 0.0)), mass, rtol=DIGITS_ERROR):
+        if np.isclose(float(inertial.get("mass", 0.0)), mass):
             inertial.set("pos", format_numbers(model.body_ipos[body]))
             inertial.set("quat", format_numbers(model.body_iquat[body]))
             inertial.set("diaginertia", format_numbers(model.body_inertia[body]))
@@ -379,9 +418,8 @@ def _write_all_digits(path: Path, model: Any) -> None:
 def file_of(model: Any) -> Path:
     """Return a temporary MJCF file of an MjSpec, removed when this process ends.
 
-    MuJoCo writes it, with six digits of all numbers but those of inertials; the MjSpec stays as it
-    is. Raises ModelError where it does not compile, and for an MjModel, of which MuJoCo writes only
-    the last one that was loaded.
+    MuJoCo writes it, with all digits; the MjSpec stays as it is. Raises ModelError where it does
+    not compile, and for an MjModel, of which MuJoCo writes only the last one that was loaded.
     """
     if not _is_spec(model):
         raise ModelError(
@@ -400,8 +438,9 @@ def file_of(model: Any) -> Path:
     mj_model = _compile_spec(spec)
     file_name = re.sub(r"[^\w-]+", "_", model.modelname) or "model"
     path = folder / f"{file_name}.xml"
-    path.write_text(spec.to_xml(), encoding="utf-8")
-    _write_all_digits(path, mj_model)
+    with all_digits():
+        text = spec.to_xml()
+    _write_exactly(path, text, mj_model)
     return path
 
 

@@ -8,7 +8,7 @@ all terms' values times ``friction_formulas``, with ``qd`` the joint's speed, ``
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import COULOMB, ROTOR, TERMS, VISCOUS
 from robot_sysid.records import ModelErrors, Validation
-from robot_sysid.records.file_access import CURVED_NAME, strict_json
+from robot_sysid.records.file_access import CURVED_NAME, MODEL_NAMES, strict_json
 from robot_sysid.records.messages import says
 from robot_sysid.results.record import Identification, ModelFile
 from robot_sysid.results.written_model import can_bend, versions
@@ -46,14 +46,18 @@ class Params:
         card: numbers of the payload's card; None where none is written.
         notes: remarks on the written files, one sentence each.
         failure: why a result that is usable in itself must not be used; None for no such reason.
-        has_curved: whether a file whose friction bends could be written.
+        written: names of the files that could be written; None for all of them.
     """
 
     result: Identification
     card: Content | None = None
     notes: Sequence[str] = ()
     failure: str | None = None
-    has_curved: bool = True
+    written: Collection[str] | None = None
+
+    def is_written(self, name: str) -> bool:
+        """Return whether a file of this name could be written."""
+        return self.written is None or name in self.written
 
     def friction(self, term: str) -> float | None:
         """Return the value of a friction term of the terminal joint; None where it has none."""
@@ -85,13 +89,21 @@ class Params:
         }
 
     def file(self) -> dict[str, Any] | None:
-        """Return what is said of the written files; None where no file was fitted."""
+        """Return what is said of the written files; None where no file was fitted, or where that
+        could not be written which has all fitted numbers.
+        """
         file = self.result.file
+        model_name = self.result.model_name
+        written = [*filter(self.is_written, MODEL_NAMES.values())]
+        if written and model_name not in written:
+            # An MJCF failed its check; the URDF beside it may lack numbers.
+            model_name = written[0]
+            file = None if self.result.needs_mjcf else file
         if file is None:
             return None
         curved = None
         if file.curved is not None:
-            is_written = self.has_curved and can_bend()
+            is_written = self.is_written(CURVED_NAME) and can_bend()
             name = CURVED_NAME if is_written else None
             curved = {
                 "name": name,
@@ -99,7 +111,7 @@ class Params:
                 "elsewhere": _elsewhere_of(file.curved),
             }
         return {
-            "name": self.result.model_name,
+            "name": model_name,
             **_errors_of_file(file),
             "gravity": file.gravity,
             "kept": file.kept,
@@ -197,13 +209,13 @@ def content_of(
     card: Content | None = None,
     notes: Sequence[str] = (),
     failure: str | None = None,
-    has_curved: bool = True,
+    written: Collection[str] | None = None,
 ) -> dict[str, Any]:
     """Return the content of params.json but for the verdict and the next step.
 
     See ``Params`` for the arguments.
     """
-    params = Params(result, card, notes, failure, has_curved)
+    params = Params(result, card, notes, failure, written)
     return {key: strict_json(source(params)) for key, source in SOURCES.items()}
 
 

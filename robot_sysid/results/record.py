@@ -274,13 +274,18 @@ class Identification:
         return None
 
     @property
+    def needs_mjcf(self) -> bool:
+        """Whether a URDF lacks identified numbers."""
+        return needs_mjcf(self.quantities, self.file.motors if self.file else ())
+
+    @property
     def model_kind(self) -> str:
         """Format of the written model, "mjcf" or "urdf".
 
         It is an MJCF where MuJoCo alone would not load a URDF, or a URDF lacks identified numbers.
         """
-        is_mjcf = needs_mjcf(self.quantities, self.file.motors if self.file else ())
-        return "mjcf" if is_mjcf or self.robot.lacks_meshes else self.robot.kind
+        is_mjcf = self.needs_mjcf or self.robot.lacks_meshes
+        return "mjcf" if is_mjcf else self.robot.kind
 
     @property
     def model_name(self) -> str:

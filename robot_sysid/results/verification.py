@@ -115,8 +115,8 @@ _ADVICE = {
 }
 # What to do about any other field, and about the inertia of a body.
 _SETTINGS_ADVICE = (
-    "no model was written; of the compiler settings, settotalmass, boundmass, boundinertia and "
-    "fusestatic change inertias: remove them"
+    "of the compiler settings, settotalmass, boundmass, boundinertia and fusestatic change "
+    "inertias: remove them"
 )
 FIRMNESS = "solimpfriction"
 """Attribute of a joint that says how firmly dry friction holds it."""
@@ -360,5 +360,5 @@ def require_reproduction(
         raise ExportError(
             f"{path.name} does not reproduce the identified torques: joint "
             f"{robot.joint_names[worst]} is off by {relative[worst]:.1e} relative (allowed "
-            f"{TOLERANCE:.0e}); no model was written"
+            f"{TOLERANCE:.0e})"
         )

@@ -149,8 +149,8 @@ def _arm_of_kind(
     """Return (the arm as its file states it, as one of an MJCF where ``file_kind`` asks for it; the
     target of that file).
 
-    MuJoCo writes the MJCF, with six digits of all numbers but those of inertials. It has the masses
-    of the file, which are read with the same factor. ExportError where it refuses.
+    MuJoCo writes the MJCF. It has the masses of the file, which are read with the same factor.
+    ExportError where it refuses.
     """
     if file_kind == robot.kind:
         return as_stated(robot), target

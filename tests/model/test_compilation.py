@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import locale
 import os
+import re
 
 import mujoco
 import numpy as np
@@ -212,6 +213,42 @@ def test_an_mjcf_of_a_urdf_has_its_links_however_flat(tmp_path_factory, seed):
         assert_allclose(
             body_theta(copied, body) / largest, theta / largest, rtol=0, atol=1e-14
         )
+
+
+def torques(model, states):
+    """The torques (S, nv) that MuJoCo finds for states (S, 3) of uniform numbers (nv,) each."""
+    data = mujoco.MjData(model)
+    found = []
+    for q, qd, qdd in states:
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse.copy())
+    return np.array(found)
+
+
+@given(seed=SEEDS)
+def test_an_mjcf_of_a_urdf_takes_its_torques(tmp_path_factory, seed):
+    """With turned, fixed and mimicking joints, whichever of them an identification holds."""
+    rng = np.random.default_rng(seed)
+    path = tmp_path_factory.mktemp("tree") / "arm.urdf"
+    path.write_text(urdf.drawn_tree(rng))
+    original = compile_model(path).mj_model
+    copied = compile_model(mjcf_of(path)).mj_model
+    assert copied.neq == original.neq
+    states = rng.uniform(-1.0, 1.0, (5, 3, original.nv))
+    expected = torques(original, states)
+    largest = np.max(np.abs(expected), initial=0.0)
+    assert_allclose(torques(copied, states), expected, rtol=0, atol=1e-11 * largest)
+    assert_allclose(copied.jnt_range, original.jnt_range, rtol=1e-15)
+    assert_allclose(copied.eq_data, original.eq_data, rtol=1e-15)
+
+
+def test_numbers_of_a_written_mjcf_are_no_longer_than_they_need_be(tmp_path):
+    path = urdf.write_arm(tmp_path, {"l1": urdf.inertial()})
+    text = mjcf_of(path).read_text()
+    assert 'pos="0 0 0.2"' in text and 'mass="1.0"' in text
+    stated = list(map(float, re.search('quat="([^"]*)"', text)[1].split()))
+    assert_allclose(np.linalg.norm(stated), 1.0, rtol=1e-15)
 
 
 TURNS = ((0.0, 0.0, 0.0), (0.5, -0.3, 0.8))
