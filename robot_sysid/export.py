@@ -284,8 +284,12 @@ def remove_earlier(
     for name in (*RESULT_NAMES, *_LATER_NAMES):
         path = folder / name
         is_kept = name in of_plan or os.path.realpath(path) in used
-        if file_access.is_of_run(path) and not is_kept:
+        if is_kept:
+            continue
+        # What is known by its marks alone is kept by another name, which is said.
+        is_of_run = file_access.is_of_run(path)
+        if is_of_run or file_access.is_marked(path):
             files.remove(path)
-            if name not in _LATER_NAMES:
-                notes.append(f"{path} of an earlier run was removed")
+        if is_of_run and name not in _LATER_NAMES:
+            notes.append(f"{path} of an earlier run was removed")
     return notes

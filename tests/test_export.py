@@ -21,6 +21,7 @@ from rigs.files import urdf
 from rigs.files.command_line import files_in
 from rigs.files.model_files import ARM, write_files
 from rigs.files.notes import NoteRecorder
+from rigs.files.recorded_files import as_run
 from rigs.files.schemas import schema
 from robot_sysid.config import PayloadConfig
 from robot_sysid.dynamics.friction import TERMS
@@ -75,8 +76,9 @@ def names_in(folder):
 
 def write_as_run(folder, files):
     """Write files, text by name, as an earlier run does."""
-    for name, text in files.items():
-        file_access.write_atomically(folder / name, text)
+    with as_run(folder):
+        for name, text in files.items():
+            file_access.write_atomically(folder / name, text)
 
 
 def test_the_whole_way_from_a_result(robot, out):

@@ -210,7 +210,7 @@ def _quietly() -> Iterator[_Notes]:
 
 def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Result:
     """Identify with the options of a config, without printing; the notes are in the result."""
-    with claim(config.named_files()), _quietly() as notes:
+    with _quietly() as notes, claim(config.named_files(), notes.note):
         robot = load_arm(config, notes)
         result, _ = stages.identify(config, robot, notes)
     texts = [remark.text for remark in result.remarks]

@@ -5,6 +5,7 @@ A result has its numbers as properties, can be written to files and can be plott
 
 from __future__ import annotations
 
+import warnings
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -133,7 +134,7 @@ class Result(Identification):
         with (
             in_python(),
             one_thread(),
-            claim(config.folder_files()),
+            claim(config.folder_files(), warnings.warn),
             writable_folder(folder, Progress()),
         ):
             return self._write(folder).files
@@ -274,7 +275,12 @@ class PlanResult:
         config = replace(self.config, trajectory=trajectory, output=output)
         plan = self.checked.plan
         written = [*config.folder_files(), *config.named_files()]
-        with in_python(), one_thread(), claim(written), atomic_files() as files:
+        with (
+            in_python(),
+            one_thread(),
+            claim(written, warnings.warn),
+            atomic_files() as files,
+        ):
             paths = draft_plan(config, self.robot, self.checked, files)
             motors = draft_motor_file(config, self.robot, plan, files, path.parent)
             return paths + motors[0]

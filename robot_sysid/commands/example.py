@@ -68,7 +68,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     source = source_folder(name)
     console.stage(f"Simulating {len(PLANTS)} logs of the example's arm...")
     # Nothing is in its place, so that the claim is one on the name alone.
-    with claim([("example", folder)]):
+    with claim([("example", folder)], console.note):
         _copy_example(source, folder)
     console.stage(f"Example copied to {folder}. What to do with it:")
     names = {"model": "model", "log": LOG, "empty": EMPTY_LOG}

@@ -54,7 +54,7 @@ def run_config(
     config = replace(config, output=replace(config.output, config=console.config))
     if isinstance(config, MotionConfig):
         config = config.with_seed()
-    with file_access.claim(config.written_files()):
+    with file_access.claim(config.written_files(), console.note):
         return _run_claimed(config, name, run, console)
 
 

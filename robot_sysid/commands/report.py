@@ -47,7 +47,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     if "output_dir" not in values:
         folder = runs[0].folder
     name = REPORT_NAME if len(runs) == 1 else COMPARISON_NAME
-    with claim([(FOLDER_OPTION, folder / name)]):
+    with claim([(FOLDER_OPTION, folder / name)], console.note):
         return _write_page(runs, folder, mesh_dir, console)
 
 

@@ -4,16 +4,18 @@ A file is written as a draft, by a hidden name in the folder of its final path: 
 in place until the moment in which the draft replaces it. Whatever the system refuses raises
 InputError.
 
-A run replaces and removes nothing but what a run has written. A hidden file of each folder lists
-the names, sizes and SHA-256 hashes of the files that runs wrote there (``RECORD_NAME``): a mark
-within a file would stay in it when a person changes the file, and tables of numbers have no place
-for one.
+A run replaces and removes nothing but what a run has written. A hidden file of each folder of
+results lists the names, sizes and SHA-256 hashes of the files that runs wrote there
+(``RECORD_NAME``). What has no record, as a single file elsewhere or the results of versions before
+1.0, is known by its own marks (``_MARKS``). These stay in a file that a person changes: what is
+replaced on marks alone is kept beside it as ``NAME.old``.
 """
 
 from __future__ import annotations
 
 import codecs
 import contextlib
+import filecmp
 import hashlib
 import json
 import math
@@ -21,7 +23,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -85,6 +87,28 @@ RESULT_NAMES = (
 )
 """Names of files that any run may write to its output folder."""
 _ABOUT_RECORD = "robot-sysid wrote these files here, and replaces no others"
+_MARKS = re.compile(
+    b"|".join(
+        (
+            rb"robot-sysid|<!-- System ID: ",
+            # Results, torque scales, a payload's card, and the data of a report.
+            rb'\A\{\s*"schema_version": \d',
+            rb'\A\{\s*"version": \d,\s*"torque_scale"',
+            rb"\APayload of [^\n]* identified with ",
+            rb"\APK.{28}version\.npy",
+            # Tables: samples of a plan, goals of servos, readings of a simulated arm, motors.
+            rb"\Atime(,q_[^,\n]+)+(,qd_[^,\n]+)+(,qdd_[^,\n]+)+\n",
+            rb"\Atime(,[^,\n]+ goal position \[\w+\])+\n",
+            rb"\Atime(,[^,\n]+_position)+(,[^,\n]+_velocity)*(,[^,\n]+_torque)+"
+            rb"(,[^,\n]+_acceleration)*\n",
+            rb"\A# motor_type=|\A# trajectory_sha256=",
+        )
+    ),
+    re.DOTALL,
+)
+"""What a file that any version has written has within it, in its beginning or end."""
+_KEPT = re.compile(r"\.old\d*\Z")
+"""How the name of a file ends that was kept when a run replaced it."""
 # How long to wait for another run that writes the record of a folder [s]: it takes milliseconds.
 _RECORD_PATIENCE = 2.0
 # Bytes of a file that are in memory at once while it is hashed.
@@ -334,7 +358,7 @@ class AtomicFiles:
     def remove(self, path: Path) -> None:
         """Have ``commit`` remove a file of an earlier run after all drafts have their final names.
 
-        One that no run has written stays.
+        One that is known by its marks alone is kept by another name, and one of a person stays.
         """
         self._unwanted.append(path)
 
@@ -345,6 +369,7 @@ class AtomicFiles:
         change: should the system refuse to go on in between, it would describe files that are gone.
 
         InputError, with every file as it was, where a draft would replace a file that no run wrote.
+        One that is known by its marks alone is kept by another name, unless the draft is the same.
         """
         for path, draft in self._drafts.items():
             with _refusals_as_input_errors(path), open(draft, "rb+") as file:
@@ -356,6 +381,9 @@ class AtomicFiles:
                     "away, or choose another name"
                 )
         with delay_signals():
+            for path, draft in self._drafts.items():
+                if is_marked(path) and not filecmp.cmp(path, draft, shallow=False):
+                    _keep(path)
             # First of all: killed in between, both the old files and the new ones are known.
             _record_drafts(self._drafts)
             if len(self._drafts) > 1:
@@ -365,9 +393,8 @@ class AtomicFiles:
             for path, draft in reversed(self._drafts.items()):
                 with _refusals_as_input_errors(path):
                     os.replace(draft, path)
-            for path in filter(is_of_run, self._unwanted):
-                with _refusals_as_input_errors(path):
-                    path.unlink(missing_ok=True)
+            for path in self._unwanted:
+                _remove_result(path)
 
     def discard(self) -> None:
         """Remove all drafts without a final name, and the created folders that are empty."""
@@ -438,7 +465,9 @@ def _remove_empty(folders: Sequence[Path]) -> None:
 
 
 @contextlib.contextmanager
-def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
+def claim(
+    files: Iterable[tuple[str, Path]], say: Callable[[str], None]
+) -> Iterator[None]:
     """Hold files against other runs while the block runs; refuse those that no run wrote.
 
     It encloses all of a run, so that a run which could not write its files does not begin. Folders
@@ -446,7 +475,9 @@ def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
 
     Args:
         files: (option that has the file written, its path). Of what goes to the folder of results
-            the whole folder is held, as runs remove files there, too; of others the file alone.
+            the whole folder is held, as runs remove files there, too, and what is written there is
+            recorded; of others the file alone is held, and nothing is left beside it.
+        say: takes a sentence on each file that was kept by another name, when the block has ended.
 
     Raises:
         InputError: a file cannot be written, is no run's, or another run is about to write there.
@@ -466,6 +497,9 @@ def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
             with _refusals_as_input_errors(folder):
                 created += _create_folder(folder)
             stack.enter_context(hold(target, option))
+            stack.enter_context(_said_of_kept(folder, say))
+            if target in folders:
+                stack.enter_context(_recorded(folder))
         for option, path in listed:
             _refuse_no_file(path)
             if not is_replaceable(path):
@@ -474,6 +508,55 @@ def claim(files: Iterable[tuple[str, Path]]) -> Iterator[None]:
                     "changed since; choose another, or move that file away"
                 )
         yield
+
+
+@contextlib.contextmanager
+def _said_of_kept(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Say which files of a folder the block has kept by other names, in one sentence."""
+    before = set(os.listdir(folder))
+    try:
+        yield
+    finally:
+        kept = sorted(filter(_KEPT.search, set(os.listdir(folder)) - before))
+        if kept:
+            say(
+                f"what was in {folder} has the marks of this program, but no record says whether "
+                f"it was changed since; it was kept as {', '.join(kept)}"
+            )
+
+
+@contextlib.contextmanager
+def _recorded(folder: Path) -> Iterator[None]:
+    """Let what the block writes to a folder be recorded there; without any, no record stays."""
+    record = folder / RECORD_NAME
+    with _refusals_as_input_errors(record):
+        _write_record(record, {})
+    try:
+        yield
+    finally:
+        if not _recorded_files(folder):
+            with contextlib.suppress(OSError):
+                record.unlink()
+
+
+def _remove_result(path: Path) -> None:
+    """Remove a file that a run wrote; one that is known by its marks alone gets another name."""
+    if is_marked(path):
+        _keep(path)
+    elif is_of_run(path):
+        with _refusals_as_input_errors(path):
+            path.unlink(missing_ok=True)
+
+
+def _keep(path: Path) -> None:
+    """Give a file another name, which no file has, beside its own."""
+    old = path.with_name(f"{path.name}.old")
+    number = 1
+    while os.path.lexists(old):
+        number += 1
+        old = path.with_name(f"{path.name}.old{number}")
+    with _refusals_as_input_errors(path):
+        os.replace(path, old)
 
 
 @contextlib.contextmanager
@@ -498,14 +581,32 @@ def _writer(option: str) -> str:
 def is_replaceable(path: Path) -> bool:
     """Return whether a run may write a file to a path: nothing a person has is there.
 
-    That is no file, an empty one, or one that a run wrote.
+    That is no file, an empty one, or one that a run wrote; by its marks alone that is kept.
     """
     try:
         info = os.lstat(path)
     except OSError:
         return True
     is_empty = stat.S_ISREG(info.st_mode) and info.st_size == 0
-    return is_empty or is_of_run(path)
+    return is_empty or is_of_run(path) or is_marked(path)
+
+
+def is_marked(path: Path) -> bool:
+    """Return whether a file without an entry in a record has marks of this program.
+
+    They do not show whether a person has changed it since. One that a record knows otherwise was
+    changed, and a link is a person's.
+    """
+    try:
+        is_file = stat.S_ISREG(os.lstat(path).st_mode)
+        if not is_file or _recorded_files(path.parent).get(path.name):
+            return False
+        with open(path, "rb") as file:
+            beginning = file.read(_PIECE)
+            file.seek(max(file.tell(), os.fstat(file.fileno()).st_size - _PIECE))
+            return any(map(_MARKS.search, (beginning, file.read())))
+    except OSError:
+        return False
 
 
 def is_of_run(path: Path) -> bool:
@@ -560,12 +661,14 @@ def _recorded_files(folder: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def _record_drafts(drafts: Mapping[Path, Path]) -> None:
-    """Add drafts, by their final paths, to the records of their folders."""
+    """Add drafts, by their final paths, to the records of their folders, where there are some."""
     folders: dict[Path, dict[Path, Path]] = {}
     for path, draft in drafts.items():
         folders.setdefault(path.parent, {})[path] = draft
     for folder, drafts_there in folders.items():
         record = folder / RECORD_NAME
+        if not os.path.lexists(record):
+            continue
         with contextlib.ExitStack() as stack, _refusals_as_input_errors(record):
             # Another run may write another file of this folder.
             with contextlib.suppress(BlockingIOError):

@@ -31,7 +31,7 @@ from robot_sysid.config import (
 )
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.drafts import HIDDEN_PREFIX, locked
-from robot_sysid.records.file_access import RECORD_NAME, is_of_run, is_replaceable
+from robot_sysid.records.file_access import RECORD_NAME, is_marked, is_replaceable
 
 SHORT = "--duration 3 --sample-rate 100 --seed 1 --output-dir out"
 MOTORS = "--export-damiao --motor-type DM8009 --motor-type DM8009"
@@ -135,7 +135,6 @@ def inputs(tmp_path_factory):
     (folder / "bad.csv").write_text("\n".join(text.splitlines()[:3]))
     path = trajectory_file(folder, swing(2, duration=0.5, amplitude=0.05)).path
     path.rename(folder / "motion.csv")
-    (folder / RECORD_NAME).unlink()
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
@@ -197,7 +196,7 @@ OCCUPYING = """
 import sys, time
 from pathlib import Path
 from robot_sysid.records.file_access import claim
-with claim([("--output-dir", Path(path)) for path in sys.argv[1:]]):
+with claim([("--output-dir", Path(path)) for path in sys.argv[1:]], print):
     print("ready", flush=True)
     time.sleep(60)
 """
@@ -238,8 +237,15 @@ def test_two_runs_do_not_write_one_recording(place, capsys):
     with locked(Path("rec.csv")):
         error = refusal(words, capsys)
         assert f"rec.csv, and another run, process {os.getpid()}, is writing" in error
+    assert not hidden_files(place)
+
+
+@pytest.mark.slow
+def test_a_recording_is_replaced_by_another_where_that_is_asked_for(place, capsys):
+    words = "motors simulate motion.csv --model two.xml --record rec.csv"
     assert main(words.split()) == 0
-    assert main(words.split()) == 0
+    assert "rec.csv exists" in refusal(words, capsys)
+    assert main([*words.split(), "--overwrite"]) == 0
     assert not hidden_files(place)
 
 
@@ -262,7 +268,10 @@ def test_calls_of_python_obey_the_same_rules(place, inputs):
         path.unlink()
         save()
         save()
-        assert is_of_run(path)
+        assert is_replaceable(path)
+    with pytest.warns(UserWarning, match=r"kept as p\.json\.old"):
+        Path("p.json").write_text(Path("p.json").read_text() + " ")
+        plan.save("p.json")
 
 
 def test_columns_put_right_leave_a_persons_columns_file(place, capsys):
@@ -279,7 +288,50 @@ def test_columns_put_right_leave_a_persons_columns_file(place, capsys):
         assert main(["log", "bad.csv", "arm.xml"]) == 2
         assert "bad_columns_2.txt has the columns put right" in capsys.readouterr().err
     assert Path("bad_columns.txt").read_text() == "mine"
-    assert is_of_run(Path("bad_columns_2.txt"))
+    assert not Path(RECORD_NAME).exists()
+
+
+def test_results_without_a_record_are_known_by_their_marks_and_kept(place, capsys):
+    """Those of versions before 1.0, for instance: a person may have changed them since."""
+    words = RUNS["identify"][0].replace(" --report", "").split()
+    assert main(words) == 0
+    Path("out", RECORD_NAME).unlink()
+    Path("out/report.html").write_text("Written by robot-sysid 0.1.0.")
+    before = files_in(Path("out"))
+    model = Path("out/updated_model.xml")
+    model.write_text(model.read_text() + "<!-- mine -->")
+    assert main(words) == 0
+    said = capsys.readouterr().err
+    assert "what was in out has the marks of this program" in said
+    assert Path(f"{model}.old").read_text().endswith("<!-- mine -->")
+    # A page of what was there before does not stay beside other results.
+    assert "report.html.old" in said and "updated_model.xml.old" in said
+    assert set(files_in(Path("out"))) > set(before) - {"report.html"}
+    # From now on there is a record.
+    assert main(words) == 0 and not list(Path("out").glob("*.old2"))
+
+
+@pytest.mark.slow
+def test_each_kind_of_result_has_marks(place):
+    for name in ("identify", "payload", "plan", "self-test for motors"):
+        assert main(RUNS[name][0].split()) in (0, 1)
+        Path("out", RECORD_NAME).unlink()
+        for path in Path("out").iterdir():
+            assert is_marked(path) or path.name == "notes.txt", path
+
+
+def test_a_single_file_leaves_nothing_beside_it_and_is_replaced(place, capsys):
+    words, config = RUNS["plan for servos"]
+    before = set(files_in(place))
+    for _ in range(2):
+        assert main(words.split()) == 0
+        written = set(files_in(place)) - before
+        assert written == {*map(str, files_of(config))}
+    plan = Path("p.json")
+    plan.write_text(plan.read_text() + "\n")
+    assert main(words.split()) == 0
+    assert "it was kept as p.json.old\n" in capsys.readouterr().err
+    assert Path("p.json.old").read_text() == plan.read_text() + "\n"
 
 
 @pytest.mark.slow
@@ -296,8 +348,13 @@ def test_all_that_is_written_is_known_and_nothing_that_was_changed_is_replaced(
     for path in written:
         content = path.read_bytes()
         path.write_bytes(content + b"\n")
-        assert f"would replace {path}" in refusal(words, capsys)
-        assert path.read_bytes() == content + b"\n"
+        kept = path
+        if path.parent == Path("out"):
+            assert f"would replace {path}" in refusal(words, capsys)
+        else:
+            assert main(words.split()) in (0, 1)
+            kept = Path(f"{path}.old")
+        assert kept.read_bytes() == content + b"\n"
         path.write_bytes(content)
     assert main(words.split()) in (0, 1)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from rigs.files.other_process import running
+from rigs.files.recorded_files import as_run
 from robot_sysid.records.drafts import new_draft, remove_leftovers, temporary_folder
 from robot_sysid.records.file_access import RECORD_NAME, write_atomically
 
@@ -48,7 +49,8 @@ def hidden(folder):
 
 
 def test_of_a_living_run_all_stays_and_of_a_killed_one_nothing(tmp_path, other_run):
-    write_atomically(tmp_path / "a", "a")
+    with as_run(tmp_path):
+        write_atomically(tmp_path / "a", "a")
     assert len(hidden(tmp_path)) == 2
     other_run.send_signal(signal.SIGKILL)
     other_run.wait()

@@ -17,6 +17,7 @@ import pytest
 
 from rigs.files.model_files import LFS_POINTER, make_pipe
 from rigs.files.places import ROOT
+from rigs.files.recorded_files import as_run
 from rigs.files.refusals import refused
 from robot_sysid.errors import InputError
 from robot_sysid.records.drafts import HIDDEN_PREFIX
@@ -68,7 +69,8 @@ def watch_commit(observe, replace_attribute=setattr):
 @pytest.fixture
 def old_set(tmp_path):
     """A folder with a complete set of files whose text is 'old'."""
-    write_set(tmp_path, "old")
+    with as_run(tmp_path):
+        write_set(tmp_path, "old")
     return tmp_path
 
 
@@ -184,8 +186,9 @@ def test_what_is_to_go_goes_last_and_only_where_nothing_fails(
     tmp_path, monkeypatch, fails
 ):
     old_files = {"a": "old", "gone": "old"}
-    for name, text in old_files.items():
-        write_atomically(tmp_path / name, text)
+    with as_run(tmp_path):
+        for name, text in old_files.items():
+            write_atomically(tmp_path / name, text)
     contents = []
     unlink = Path.unlink
 

@@ -101,7 +101,7 @@ def map_joints(session: Session, options: MapOptions) -> int:
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
     rows = _rows_to_renew(options)
-    with claim([(option_name("output"), options.output)]):
+    with claim([(option_name("output"), options.output)], session.console.note):
         return _map_and_write(session, options, rows)
 
 
