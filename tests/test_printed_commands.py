@@ -509,7 +509,11 @@ SITUATIONS = {
         ("step: part bolted on",), "identify arm.xml log.csv", true_arm()
     ),
     "short log": Situation(
-        ("step: further motion", "step: further motion recorded"),
+        (
+            "step: further motion",
+            "step: further motion recorded",
+            "step: part not seen",
+        ),
         "identify arm.xml log.csv",
         true_arm(False, is_short=True),
         folders=("sysid_output", "sysid_output/both"),

@@ -20,8 +20,11 @@ from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import Detail
 from robot_sysid.records.quantities import (
     BEYOND,
+    BEYOND_INERTIA,
     BOUND,
     DATA,
+    DIFFERENCE,
+    LEAST_SEEN,
     MODEL,
     MOMENT,
     FrictionCurve,
@@ -43,10 +46,18 @@ def with_rows(*rows):
     return replace(found, quantities=(*found.quantities, *rows))
 
 
-def bolted_on(mass, error):
-    """A result with a mass [kg] beyond the model, 0.1 m from the frame of the link."""
+def bolted_on(mass, error, inertia=0.0, ratio=None):
+    """A result with a mass [kg] beyond the model, 0.1 m from the frame of the link.
+
+    ``ratio`` is the difference of all numbers over what chance leaves; None: that of the mass.
+    """
     source = DATA if np.isfinite(error) else MODEL
+    least = 2.3 * error
+    moments = BEYOND_INERTIA.values()
     return with_rows(
+        Quantity(DIFFERENCE, BEYOND, "", None, ratio or (mass / least) ** 2, 0.0),
+        Quantity(LEAST_SEEN, BEYOND, "kg", None, least, 0.0),
+        *(Quantity(n, BEYOND, "kg·m²", None, inertia, 1e-3) for n in moments),
         Quantity(MOMENT, BEYOND, "kg·m", None, 0.1 * abs(mass), 0.1 * error),
         Quantity("mass", BEYOND, "kg", None, mass, error, source),
         *(Quantity(f"com_{x}", BEYOND, "m", None, 0.1, 0.01) for x in "xyz"),
@@ -122,8 +133,17 @@ WRITTEN = (
     "without friction, not finite",
 )
 """Cases whose params.json is recorded."""
-BOLTED_ON = ((0.5, 0.09), (0.5, 0.15), (0.1, 0.1), (-0.5, 0.1), (0.5, np.inf))
-"""Masses beyond the model and their errors: seen, not known, nothing, less, not shown [kg]."""
+BOLTED_ON = (
+    (0.5, 0.09),
+    (0.5, 0.15),
+    (0.1, 0.1),
+    (-0.5, 0.1),
+    (0.5, np.inf),
+    (0.5, 0.3, 0.01, 1.7),
+    (-0.2, 0.3, -0.01, 1.7),
+)
+"""Masses beyond the model and their errors: seen, not known, nothing, less, not shown [kg]. In the
+last two the moments of inertia tell [kg m^2]."""
 CHANGES = (
     (1.0, 1.5, 0.1, DATA),
     (1.0, 1.5, 0.1, MODEL),

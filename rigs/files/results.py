@@ -287,7 +287,7 @@ def whole(**changes):
         Quantity("zero", "j6", "rad", None, 0.0, float("nan"), BOUND),
         Quantity("delay", "arm", "s", None, 0.0032, 2e-5),
         Quantity("tilt_1", "arm", "rad", None, 0.0, np.radians(0.03)),
-        *beyond_model(last),
+        *beyond_model(last, np.diag(0.1 * last.prior.scale)),
         Quantity("coulomb", "j5", "N", 0.3, 0.45, 0.01, FILE),
         Quantity("viscous", "j5", "N·s/m", 0.1, 0.25, 0.02, FILE),
     ]

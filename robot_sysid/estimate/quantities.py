@@ -21,8 +21,10 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import BEND, OFFSET, POLYNOMIAL, ROTOR, TERMS
 from robot_sysid.estimate.choose import fastest_of, speeds_in
@@ -40,12 +42,16 @@ from robot_sysid.estimate.terms import (
     Term,
 )
 from robot_sysid.records import Array, FitQuality, InertialParameters
+from robot_sysid.records.levels import BARE, FALSE_ALARMS
 from robot_sysid.records.messages import position_unit, torque_unit
 from robot_sysid.records.parameters import INERTIAL, Parameter
 from robot_sysid.records.quantities import (
     BEYOND,
+    BEYOND_INERTIA,
     BOUND,
     DATA,
+    DIFFERENCE,
+    LEAST_SEEN,
     MODEL,
     MOMENT,
     NOT_SHOWN,
@@ -66,19 +72,62 @@ CURVE_SHARES = (0.1, 0.4, 1.0)
 it is dry, in the bend, and at the end of what is known."""
 
 
-def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
-    """Yield numbers of what is on a link beyond its model, that which one log shows best first.
+def beyond_model(link: BodyEstimate, usual: Array) -> Iterator[Quantity]:
+    """Yield numbers of what is on a link beyond its model.
 
-    They are mass times distance of its centre from the link's frame, mass, and centre of mass. It
-    is the difference to the model, whose numbers count as exact.
+    Whether anything is there is asked of all ten numbers together, and of the mass alone, which
+    whatever is there adds. With the difference d to the model, the covariance C of its errors and
+    that U of the usual errors of a model's link, d' (C + U)^-1 d is a chi-square where nothing is
+    there. The first row is this over the value that by chance it exceeds too seldom (``BARE``, of
+    the mass ``FALSE_ALARMS``), the larger one of both; the second the mass that is seen by itself.
+
+    The other rows are of the difference, beside which the model's numbers count as exact: mass
+    times distance of its centre from the link's frame, mass, centre of mass, and the moments of
+    inertia about the frame's origin.
+
+    Args:
+        link: estimated without a prior.
+        usual: Cholesky factor (10, 10) of U.
     """
     if link.prior is None:
         return
     theta = link.theta - link.prior.theta
+    covariance = link.covariance + usual @ usual.T
+    of_all = _chi_square(theta, covariance, link.is_determined)
+    of_all /= chi_square_level(max(int(np.sum(link.is_determined)), 1), BARE)
+    # Whatever is there adds mass: only one end of the chi-square counts.
+    of_mass = chi_square_level(1, 2.0 * FALSE_ALARMS)
+    least = math.sqrt(of_mass * covariance[0, 0])
+    ratio = max(of_all, (theta[0] / least) ** 2 * link.is_determined[0])
+    yield Quantity(DIFFERENCE, BEYOND, "", None, float(ratio), 0.0)
+    yield Quantity(LEAST_SEEN, BEYOND, "kg", None, least, 0.0)
     beyond = replace(link, name=BEYOND, theta=theta, prior=None)
     moment, error = beyond.moment_along(beyond.first_moment)
     yield Quantity(MOMENT, BEYOND, INERTIAL[1].unit, None, moment, error)
-    yield from itertools.islice(body_quantities(beyond), 4)
+    rows = [*body_quantities(beyond)]
+    yield from rows[:4]
+    for row in rows:
+        if row.name in BEYOND_INERTIA:
+            yield replace(row, name=BEYOND_INERTIA[row.name])
+
+
+def _chi_square(off: Array, covariance: Array, shown: NDArray[np.bool_]) -> float:
+    """Return the square of numbers (k,) over their covariance (k, k), of those that are shown."""
+    scale = np.sqrt(np.diag(covariance)[shown])
+    relative = off[shown] / scale
+    correlation = covariance[np.ix_(shown, shown)] / np.outer(scale, scale)
+    return float(relative @ np.linalg.solve(correlation, relative))
+
+
+def chi_square_level(count: int, share: float) -> float:
+    """Return the value that a chi-square of some numbers exceeds in a share of all cases.
+
+    Of k numbers it is k (1 - 2 / (9 k) + z sqrt(2 / (9 k)))^3, where z is what a normal number
+    exceeds as often (Wilson and Hilferty, "The distribution of chi-square", PNAS 17(12), 1931).
+    """
+    ninth = 2.0 / (9.0 * count)
+    normal = NormalDist().inv_cdf(1.0 - share)
+    return float(count * (1.0 - ninth + normal * math.sqrt(ninth)) ** 3)
 
 
 def fit_quantities(

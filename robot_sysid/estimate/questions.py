@@ -256,11 +256,18 @@ def _last_link(arm: ArmTerms, question: Question) -> Term:
             return term
         spread = last_link_scale(arm.robot)
         return replace(term, prior=Prior(term.reference, np.diag(spread)))
+    return replace(term, prior=Prior(term.reference, usual_last_link(arm, question)))
+
+
+def usual_last_link(arm: ArmTerms, question: Question) -> Array:
+    """Return the Cholesky factor (10, 10) of how far off a model's last link is.
+
+    As links usually are, or as the others are found to be.
+    """
     scales = np.maximum(astuple(question.link_scales), astuple(EXPECTED))
     share = PER_CENT * max(question.options.priors.link, usual_errors.LINK)
     last = [arm.robot.n_joints - 1]
-    factor = link_factor(arm.robot, last, share, LinkScales(*scales.tolist()))
-    return replace(term, prior=Prior(term.reference, factor))
+    return link_factor(arm.robot, last, share, LinkScales(*scales.tolist()))
 
 
 def common_spread(question: Question) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +22,7 @@ _WEIGHED = (
     f"{{folder}}/loaded.csv {{folder}}/loaded_again.csv --order {PAYLOAD_ORDER} {{options}} "
     "--output-dir {folder}"
 )
+_WEIGHING = "payload {model} --empty {empty} --loaded {log} {options} --output-dir {folder}/weighed"
 SAME_LOG = "log is fine"
 """State after which the command is about the log that was read."""
 
@@ -97,10 +99,14 @@ STEPS: Mapping[str, Step] = {
         "identify {model} {log} {folder}/planned/log{ending} {options} --output-dir {folder}/both",
     ),
     "part bolted on": Step(
-        "Next, if it can be taken off, record the motion without it as {folder}/empty{ending}, and "
+        "Next, if what is bolted on can be taken off, record the motion without it as {empty}, and "
         "weigh it by difference",
-        "payload {model} --empty {folder}/empty{ending} --loaded {log} {options} --output-dir "
-        "{folder}/weighed",
+        _WEIGHING,
+    ),
+    "part not seen": Step(
+        "If something is bolted on all the same, record the motion without it as {empty} and weigh "
+        "it by difference",
+        _WEIGHING,
     ),
     "servo sizes unknown": Step(
         "Next, fix {mass} kg to the last link at {place} m in the frame of {body}, record the same "
@@ -144,6 +150,7 @@ def step_after(
     options = command_arguments(values, repeated)
     words = {"model": values["path"], "options": [*options, *further], **words}
     words["ending"] = _ending_of(words.get("log"))
+    words["empty"] = _empty_log_beside(words.get("log"))
     command = ["robot-sysid"]
     for part in parts:
         filling = words.get(part.strip("{}"))
@@ -162,6 +169,17 @@ def _ending_of(logs: Any) -> str:
     """
     log = logs[0] if isinstance(logs, (list, tuple)) else logs
     return recording_ending(Path(log)) if isinstance(log, (str, Path)) else ".csv"
+
+
+def _empty_log_beside(logs: Any) -> str:
+    """Return a path for a log of the arm without what is bolted on, beside the log or the first.
+
+    It is of no file that exists, and not in a folder of results, where runs replace files.
+    """
+    log = logs[0] if isinstance(logs, (list, tuple)) else logs
+    folder = Path(log).parent if isinstance(log, (str, Path)) else Path()
+    names = (f"empty{number or ''}{_ending_of(logs)}" for number in itertools.count())
+    return str(next(p for p in map(folder.joinpath, names) if not os.path.lexists(p)))
 
 
 def recording_ending(log: Path) -> str:

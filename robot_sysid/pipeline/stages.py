@@ -36,14 +36,13 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Detail, NextStep, Progress, percent
 from robot_sysid.records.option_fields import (
     command_arguments,
     given_values,
     options_of_all,
 )
-from robot_sysid.records.quantities import BEYOND, MOMENT
+from robot_sysid.records.quantities import BEYOND, DIFFERENCE
 from robot_sysid.results.record import Identification
 from robot_sysid.results.self_test import self_test_result
 from robot_sysid.results.verification import CHECKPOINTS
@@ -239,14 +238,21 @@ def step_after_run(config: Config, result: Identification) -> NextStep | None:
         # The scales that the run began with are in those that it writes.
         values = {**vars(config.model), **vars(config.log)}
         return step_after("torque scales known", values, log=empty, scales=scales)
-    parts = [result.quantity(name, BEYOND) for name in (MOMENT, "mass")]
-    ratios = [part.value / part.error for part in parts if part and part.error]
-    is_there = max(ratios, default=0.0) >= INTERVAL
-    if isinstance(config, IdentifyConfig) and is_there and ratios[-1] <= WELL_WEIGHED:
-        logs = config.log.measurements
-        values = {**vars(config.model), **vars(config.log)}
-        return step_after("part bolted on", values, log=logs, folder=folder)
-    return _step_to_further_motion(config, result)
+    further = _step_to_further_motion(config, result)
+    mass = result.quantity("mass", BEYOND)
+    difference = result.quantity(DIFFERENCE, BEYOND)
+    if not isinstance(config, IdentifyConfig) or mass is None or difference is None:
+        return further
+    if not mass.error or not math.isfinite(mass.error):
+        return further
+    if mass.value > WELL_WEIGHED * mass.error:
+        return further
+    is_seen = difference.value >= 1.0
+    state = "part bolted on" if is_seen else "part not seen"
+    logs = config.log.measurements
+    values = {**vars(config.model), **vars(config.log)}
+    weighing = step_after(state, values, log=logs, folder=folder)
+    return weighing if is_seen or further is None else further.before(weighing)
 
 
 def _step_to_further_motion(config: Config, result: Identification) -> NextStep | None:

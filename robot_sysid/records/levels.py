@@ -9,7 +9,12 @@ SURE = 3.0
 INTERVAL = 2.0
 """Standard errors of a printed ±: the interval that holds a number with 95 %."""
 FALSE_ALARMS = 0.01
-"""Share of pairs of logs of an unchanged arm in which a change is named, all numbers together."""
+"""Share of pairs of logs of an unchanged arm in which a change is named, all numbers together, and
+of bare arms on which a mass is."""
+BARE = 0.25
+"""Share of all cases of a chi-square from whose value on a last link carries something that its
+model lacks. Last links of models are less far off than the prior of links allows for: of simulated
+arms as they are that carry nothing, less than one in a hundred gets there."""
 STOPPING = 4.0
 """Standard errors of an arm's weight from which a run is stopped: each joint is compared thousands
 of times in a run, so that three are too few."""

@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -253,6 +253,10 @@ class NextStep:
     sentence: str
     command: tuple[str, ...]
     then: NextStep | None = None
+
+    def before(self, last: NextStep) -> NextStep:
+        """Return this with another step after all that it has after it."""
+        return replace(self, then=self.then.before(last) if self.then else last)
 
     def lines(self) -> tuple[str, ...]:
         """Return the sentence, and below it the command, quoted for a shell, alone on its line.

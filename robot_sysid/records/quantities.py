@@ -160,6 +160,13 @@ BEYOND = "beyond the model"
 """Body of the rows on what is on the terminal link beyond its model."""
 MOMENT = "mass_times_distance"
 """Name of the row on the mass of what is there, times the distance of its centre of mass."""
+DIFFERENCE = "difference"
+"""Name of the row on how far all numbers together are from the model's, over what chance leaves: at
+one and above something is there."""
+LEAST_SEEN = "least_seen"
+"""Name of the row on the mass that is seen by itself."""
+BEYOND_INERTIA = {"Ixx": "inertia_xx", "Iyy": "inertia_yy", "Izz": "inertia_zz"}
+"""Names of moments of inertia about the frame's origin to those of the rows on what is there."""
 NOT_SHOWN = "these torques do not show it"
 """Reason of a number that the recordings do not determine."""
 # Index of the inertial parameter whose share and causes a row has.

@@ -31,7 +31,7 @@ from robot_sysid.records.messages import (
     percent,
     printable,
 )
-from robot_sysid.records.quantities import BEYOND
+from robot_sysid.records.quantities import BEYOND, DIFFERENCE, LEAST_SEEN
 from robot_sysid.report import figures
 from robot_sysid.report.drawing import Figure, drawing_style
 from robot_sysid.report.pictures import pictures
@@ -145,7 +145,10 @@ def _summary_of(run: Run) -> dict[str, Any]:
     main = [_table(body_rows(content, asked)[:4], asked)]
     if content["payload"] is None:
         joint = content["joint_name"]
-        main.append(_table(rows_of(content, BEYOND), BEYOND))
+        beyond = rows_of(content, BEYOND)
+        judged = (DIFFERENCE, LEAST_SEEN)
+        beyond = [row for row in beyond if row["name"] not in judged]
+        main.append(_table(beyond, BEYOND))
         main.append(_table(friction_rows(content, joint), joint))
     return {
         "run": run,

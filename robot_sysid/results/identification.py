@@ -21,6 +21,7 @@ from robot_sysid.estimate.quantities import (
     link_estimates,
     quality_of,
 )
+from robot_sysid.estimate.questions import usual_last_link
 from robot_sysid.estimate.restricted_fit import (
     errors_of,
     errors_on,
@@ -101,7 +102,8 @@ def link_result(
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
     links = link_estimates(fitted, file)
     *other_links, last_link = links
-    rows = [*fit_quantities(fitted, file, links), *beyond_model(last_link)]
+    usual = usual_last_link(fitted.arm, fitted.question)
+    rows = [*fit_quantities(fitted, file, links), *beyond_model(last_link, usual)]
     written = model_file(file, others)
     files = judged_files(written, fitted.arm.model_bends)
     missed = missed_friction(fitted)

@@ -22,13 +22,17 @@ from robot_sysid.records.messages import (
 from robot_sysid.records.parameters import DELAY, SCALE, TILTS, ZERO
 from robot_sysid.records.quantities import (
     BEYOND,
+    BEYOND_INERTIA,
     BODY,
     BOUND,
     CENTRAL,
     CURVED,
     DATA,
+    DIFFERENCE,
     FILE,
+    LEAST_SEEN,
     MODEL,
+    MOMENT,
     WRITTEN,
 )
 from robot_sysid.results.content import Content
@@ -283,28 +287,49 @@ def all_rows(content: Content) -> Iterator[tuple[str, Content]]:
 def beyond_lines(content: Content) -> Iterator[str]:
     """Yield what is on the flange and not in the model; nothing where that is not asked.
 
-    The mass comes with mass times distance, which one log shows far better.
+    The mass comes with what one log shows far better: mass times distance, and moments of inertia.
     """
-    rows = rows_of(content, BEYOND)
+    rows = {row["name"]: row for row in rows_of(content, BEYOND)}
     if not rows:
         return
-    moment, mass, *com = rows
+    mass, moment = rows["mass"], rows[MOMENT]
     link = content["body_name"]
     start = "On the flange, not in the model"
     if not is_shown(mass) or moment["error"] is None:
         yield f"{start}: not shown by these torques"
-        return
-    is_seen = [abs(r["value"]) >= INTERVAL * r["error"] for r in (moment, mass)]
-    if not any(is_seen):
-        unseen = number_text(INTERVAL * mass["error"], mass["error"])
-        yield f"{start}: nothing seen (a load under {unseen} kg would not show)"
-    elif mass["value"] < 0.0 and is_seen[1]:
+    elif not is_seen(content):
+        unseen = number_text(rows[LEAST_SEEN]["value"], mass["error"])
+        yield f"{start}: nothing seen (a load under {unseen} kg may not show)"
+    elif is_certain(mass) and mass["value"] < 0.0:
         lighter = with_error(-mass["value"], mass["error"], "kg")
         yield f"{start}: nothing; {link} weighs {lighter} less than in the model"
     else:
-        product = f"mass x distance {number_with_error(moment)}"
-        yield f"{start}: {number_with_error(mass)} ({product})"
+        about_mass = number_with_error(mass)
+        details = [f"mass x distance {number_with_error(moment)}"]
+        if not is_certain(mass):
+            details.insert(0, about_mass)
+            about_mass = "something whose mass is not known"
+        moments = [rows[name] for name in BEYOND_INERTIA.values()]
+        for text, sign in (("more", 1.0), ("less", -1.0)):
+            if any(is_certain(row) and sign * row["value"] > 0.0 for row in moments):
+                details.append(f"inertia {text} than the model's")
+        yield f"{start}: {about_mass} ({'; '.join(details)})"
+        com = [row for name, row in rows.items() if name.startswith("com")]
         yield Detail(f"  {centre_text(com)} in the frame of {link}")
+
+
+def is_seen(content: Content) -> bool:
+    """Return whether all numbers of the last link together say that something is on the flange."""
+    return any(
+        row["name"] == DIFFERENCE and row["value"] >= 1.0
+        for row in rows_of(content, BEYOND)
+    )
+
+
+def is_certain(row: Content) -> bool:
+    """Return whether a number that the recordings show is clear of zero by its ±."""
+    error = row["error"]
+    return error is not None and abs(row["value"]) >= INTERVAL * error
 
 
 def largest_changes(content: Content) -> Iterator[str]:

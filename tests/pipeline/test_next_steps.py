@@ -50,12 +50,21 @@ def test_a_new_recording_has_the_form_of_the_log(tmp_path, name, ending):
     log = tmp_path / name
     if not ending:
         log.mkdir()
-    for state, new in (("part bolted on", "empty"), ("servo sizes unknown", "weight")):
+    new_ones = {
+        "part bolted on": tmp_path / f"empty{ending}",
+        "part not seen": tmp_path / f"empty{ending}",
+        "servo sizes unknown": Path("out", f"weight{ending}"),
+    }
+    for state, new in new_ones.items():
         step = step_after(state, {"path": "arm.xml"}, **{**WORDS, "log": [log]})
-        recording = str(Path("out") / f"{new}{ending}")
+        recording = str(new)
         assert recording in step.command and recording in step.sentence
     held = step_after("part bolted on", {"path": "arm.xml"}, **{**WORDS, "log": 1.0})
-    assert str(Path("out/empty.csv")) in held.command
+    assert "empty.csv" in held.command
+    # No recording that is there is proposed to be replaced.
+    (tmp_path / f"empty{ending}").touch()
+    step = step_after("part bolted on", {"path": "a.xml"}, **{**WORDS, "log": [log]})
+    assert str(tmp_path / f"empty1{ending}") in step.command
 
 
 def test_the_last_lines_name_the_files_that_were_written():

@@ -21,7 +21,7 @@ from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.stages import run, run_self_test, step_after_run
 from robot_sysid.records import ITSELF, Motion
-from robot_sysid.records.quantities import BEYOND, MOMENT, Quantity
+from robot_sysid.records.quantities import BEYOND, DIFFERENCE, Quantity
 from robot_sysid.results.record import NextMotion
 from robot_sysid.results.verdicts import Verdict
 from robot_sysid.trajectory import CHUNK
@@ -174,30 +174,36 @@ def test_a_second_motion_is_proposed_where_it_makes_the_file_better():
 
 
 @pytest.mark.parametrize(
-    ("part", "error", "moment_error", "command"),
+    ("mass", "error", "ratio", "beginning"),
     [
-        (0.8, 1.2, 0.12, None),
-        (0.8, 0.2, 0.02, "payload"),
-        (0.3, 0.2, 0.02, None),
-        (-0.8, 0.2, 0.02, None),
-        (0.8, 0.02, 0.002, None),
-        # Mass times distance is clearly there, the mass alone is not.
-        (0.8, 0.7, 0.01, "payload"),
+        # Its error is unknown, or it is known as well as by difference.
+        (0.8, np.inf, 0.5, None),
+        (0.8, 0.02, 9.0, None),
+        (0.8, 0.2, 4.0, "Next, if what is bolted on can be taken off, "),
+        (0.1, 0.7, 1.5, "Next, if what is bolted on can be taken off, "),
+        (0.3, 0.2, 0.9, "If something is bolted on all the same, "),
+        (-0.8, 0.2, 0.9, "If something is bolted on all the same, "),
     ],
 )
 def test_what_is_bolted_on_is_weighed_where_one_log_shows_it_roughly(
-    part, error, moment_error, command
+    mass, error, ratio, beginning
 ):
+    """Also where nothing is seen; then a motion that makes the file better comes first."""
     result = results.found(results.with_value("m", 2.0, error))
-    rows = [Quantity(MOMENT, BEYOND, "kg·m", None, 0.1 * part, moment_error)]
-    rows += [Quantity("mass", BEYOND, "kg", None, part, error)]
+    rows = [Quantity(DIFFERENCE, BEYOND, "", None, ratio, 0.0)]
+    rows += [Quantity("mass", BEYOND, "kg", None, mass, error)]
     result = replace(result, quantities=(*result.quantities, *rows))
     options = IdentifyConfig.of("arm.xml", measurements=("log.csv",), units="deg")
     step = step_after_run(options, result)
-    if command is None:
+    if beginning is None:
         assert step is None
         return
-    assert step.command[1:3] == (command, "arm.xml")
-    if command == "payload":
-        at = step.command.index("--loaded")
-        assert step.command[at + 1 : at + 4] == ("log.csv", "--units", "deg")
+    assert step.sentence.startswith(beginning)
+    assert step.command[1:3] == ("payload", "arm.xml")
+    at = step.command.index("--loaded")
+    assert step.command[at + 1 : at + 4] == ("log.csv", "--units", "deg")
+    further = results.elsewhere(0.13, next=NextMotion(("--duration", "60"), 0.031))
+    file = results.model_file(elsewhere=further)
+    both = step_after_run(options, replace(result, file=file))
+    assert (both == step) == (ratio >= 1.0)
+    assert both.lines()[-2:] == step.lines()

@@ -18,6 +18,7 @@ from numpy.testing import assert_allclose
 from rigs.arms.small_arms import random_theta
 from rigs.files.model_files import write_files
 from rigs.files.notes import NoteRecorder
+from rigs.files.recorded_files import as_run
 from rigs.files.releases import since
 from robot_sysid import spatial
 from robot_sysid.config import IdentifyConfig
@@ -183,7 +184,8 @@ def test_an_inertia_that_the_logs_do_not_show_is_marked(robot, output):
 def test_only_the_card_of_the_choice_is_written_and_an_earlier_one_goes(
     robot, tmp_path
 ):
-    assert len(written_files(robot, tmp_path, ALL)) == 2 + len(SIMULATORS)
+    with as_run(tmp_path):
+        assert len(written_files(robot, tmp_path, ALL)) == 2 + len(SIMULATORS)
     names = [path.name for path in written_files(robot, tmp_path, "drake")]
     assert names == ["updated_model.xml", "drake_card.py", "params.json"]
     assert sorted(path.name for path in tmp_path.glob("[!.]*")) == sorted(names)
