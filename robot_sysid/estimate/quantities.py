@@ -95,9 +95,7 @@ def beyond_model(link: BodyEstimate, usual: Array) -> Iterator[Quantity]:
     covariance = link.covariance + usual @ usual.T
     of_all = _chi_square(theta, covariance, link.is_determined)
     of_all /= chi_square_level(max(int(np.sum(link.is_determined)), 1), BARE)
-    # Whatever is there adds mass: only one end of the chi-square counts.
-    of_mass = chi_square_level(1, 2.0 * FALSE_ALARMS)
-    least = math.sqrt(of_mass * covariance[0, 0])
+    least = math.sqrt(chi_square_level(1, FALSE_ALARMS) * covariance[0, 0])
     ratio = max(of_all, (theta[0] / least) ** 2 * link.is_determined[0])
     yield Quantity(DIFFERENCE, BEYOND, "", None, float(ratio), 0.0)
     yield Quantity(LEAST_SEEN, BEYOND, "kg", None, least, 0.0)
