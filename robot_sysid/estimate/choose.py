@@ -23,6 +23,7 @@ from robot_sysid.dynamics.friction import (
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.estimate.contacts import without_contacts, without_turns
 from robot_sysid.estimate.equations.inverse import solve
+from robot_sysid.estimate.equations.memory import free_memory, refuse_too_much
 from robot_sysid.estimate.fit import Fit, LeftOut, Problem, correlation_times
 from robot_sysid.estimate.links import (
     AS_STATED,
@@ -47,6 +48,7 @@ from robot_sysid.estimate.links import (
 )
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import LEAST_DRY, PER_CENT, Question, arm_question
+from robot_sysid.estimate.rows import BLOCKS, row_chunks
 from robot_sysid.estimate.terms import (
     LINKS,
     ZEROS,
@@ -77,6 +79,8 @@ ODD_ZERO = 2.5
 """Least gain in the log evidence at which a joint's zero is taken to be far more off than usual, as
 for a link's mass (``links.ODD``): right logs gain far less, and a wrong zero of a shoulder, of
 which centres of mass hide most, more."""
+SUMS_AT_ONCE = 4.0
+"""Memory that a question takes over that of its sums, some of which stand beside new ones."""
 # Shows nothing.
 _SILENT = Progress()
 # What is shown of the way to an answer.
@@ -216,10 +220,22 @@ def first_fit(
     arm: ArmTerms, recordings: Sequence[FilteredRecording], question: Question
 ) -> tuple[Start, Fit]:
     """Return what all fits of a question start from, and its fit without contacts at the model."""
+    refuse_too_much(memory_of(arm, recordings[0]), free_memory(), len(arm.joints))
     first = replace(question, is_first=True)
     problem = problem_at(arm, arm.start(), recordings, first, in_blocks=True)
     start = Start(problem.sums.rms_torque)
     return start, without_contacts(start.fit(problem))
+
+
+def memory_of(arm: ArmTerms, recording: FilteredRecording) -> float:
+    """Return the memory that a question to an arm takes [bytes], of which sums are nearly all.
+
+    A joint's sums are of the columns that its first rows have.
+    """
+    width = (len(arm.names) + 1) * len(arm.joints)
+    rows, _ = arm.equations(next(row_chunks(recording, width)), arm.start())
+    columns = np.sum(np.any(rows, axis=0), axis=1)
+    return SUMS_AT_ONCE * rows.itemsize * 2.0 * BLOCKS * float(np.sum(columns**2))
 
 
 def problem_from_residuals(fitted: Fit, judges_turns: bool) -> Problem:

@@ -27,8 +27,9 @@ from robot_sysid.signals.process import FilteredRecording, KeptColumns, Mask
 
 Positions = tuple[bytes, ...]
 Key = tuple[Positions, bytes, float]
-KEPT = 60
-"""Readings of positions of which the products are kept: 0.7 MB each, of an arm of seven joints."""
+KEPT = 5_000_000
+"""Numbers in the products that are kept of readings of positions, 40 MB: of an arm of seven joints
+those of seventy readings."""
 FIRST_NOISE = 0.05
 """Noise that a score begins with, as a share of each joint's torque."""
 NOISE_ROUNDS = 2
@@ -131,7 +132,8 @@ class ReadingScores:
 
         Many short arrays take longer than a few long ones.
         """
-        if len(self._kept.keys() | readings.keys()) > KEPT:
+        size = len(self._arm.joints) * len(self._equations.names) ** 2
+        if len(self._kept.keys() | readings.keys()) * size > KEPT:
             self._kept.clear()
         new = {at: read for at, read in readings.items() if at not in self._kept}
         by_gravity: dict[bytes, list[Positions]] = {}
@@ -166,26 +168,31 @@ class ReadingScores:
 
     def _products(self, parts: Sequence[tuple[Array, Mask]]) -> Products:
         """Return the products of rows [A b] (m, J, p + 1), of which some are used (m, J)."""
-        joints, size = parts[0][0].shape[1:]
-        every = np.zeros((joints, size, size))
-        for rows, is_used in parts:
-            for joint, total in enumerate(every):
-                own = rows[is_used[:, joint], joint]
-                at = np.flatnonzero(np.any(own, axis=0))
-                own = own[:, at]
-                total[at[:, None], at] += own.T @ own
-        for total in every:
-            at = of_rounding(np.diag(total))
-            total[at] = total[:, at] = 0.0
+        joints = parts[0][0].shape[1]
+        # Most columns are zero in the rows of a joint: links before it make no torque there.
+        place = np.full(len(self._sides), -1)
+        place[self._equations.index] = np.arange(len(self._equations.index))
+        k, sides = len(self._equations.index), self._sides.shape[1]
+        own = np.zeros((joints, k, k))
+        cross = np.zeros((joints, k, sides))
+        torque = np.zeros((joints, sides, sides))
+        for joint in range(joints):
+            used = [rows[is_used[:, joint], joint] for rows, is_used in parts]
+            is_there = np.any([np.any(rows, axis=0) for rows in used], axis=0)
+            # The last one is that of the torque, beside which others are rounding.
+            is_there[-1] = True
+            at = np.flatnonzero(is_there)
+            total = sum(rows[:, at].T @ rows[:, at] for rows in used)
+            small = of_rounding(np.diag(total))
+            total[small] = total[:, small] = 0.0
+            moved = total @ self._sides[at]
+            inner = place[at] >= 0
+            to = place[at][inner]
+            own[joint][to[:, None], to] = total[inner][:, inner]
+            cross[joint, to] = moved[inner]
+            torque[joint] = self._sides[at].T @ moved
         counts = np.sum([np.sum(is_used, axis=0) for _, is_used in parts], axis=0)
-        moved = every @ self._sides
-        own = self._equations.index
-        return Products(
-            every.take(own, 1).take(own, 2),
-            moved[:, own],
-            self._sides.T @ moved,
-            np.maximum(counts, 1.0),
-        )
+        return Products(own, cross, torque, np.maximum(counts, 1.0))
 
     def _score_of(self, products: Products, reading: Reading, share: float) -> float:
         """Return the log likelihood of products, with torques that are read otherwise."""

@@ -194,7 +194,9 @@ class ColumnFinder:
         names = self.robot.joint_names
         if self.driven == "command" or self._is_complete(self.driven):
             return self, ()
-        for count in range(1, min(len(names) - 1, MOST_WITHOUT + 1)):
+        # With fewer columns than joints, those of the others are not tried one by one.
+        least = max(1, len(names) - len(self.titles))
+        for count in range(least, min(len(names) - 1, MOST_WITHOUT + 1)):
             found = []
             for joints in combinations(names, count):
                 finder = self

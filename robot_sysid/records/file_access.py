@@ -99,8 +99,7 @@ _MARKS = re.compile(
             # Tables: samples of a plan, goals of servos, readings of a simulated arm, motors.
             rb"\Atime(,q_[^,\n]+)+(,qd_[^,\n]+)+(,qdd_[^,\n]+)+\n",
             rb"\Atime(,[^,\n]+ goal position \[\w+\])+\n",
-            rb"\Atime(,[^,\n]+_position)+(,[^,\n]+_velocity)*(,[^,\n]+_torque)+"
-            rb"(,[^,\n]+_acceleration)*\n",
+            rb'\Atime,[^\n]*_(position|velocity|torque|acceleration|time)"?\n',
             rb"\A# motor_type=|\A# trajectory_sha256=",
         )
     ),

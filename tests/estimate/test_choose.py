@@ -32,9 +32,11 @@ from rigs.logs.payload_logs import (
 )
 from robot_sysid import spatial
 from robot_sysid.estimate.choose import (
+    SUMS_AT_ONCE,
     answer_of,
     dry_friction,
     link_evidence,
+    memory_of,
     motors_of,
     solve_question,
 )
@@ -489,3 +491,10 @@ def test_the_order_of_logs_changes_neither_estimate_nor_file(seed):
         for name in fitted.names:
             off = abs(fitted.by_name[name] - turned.by_name[name])
             assert off < _ROUNDING * errors[name], name
+
+
+def test_the_memory_of_a_question_is_that_of_its_sums(noisy_fit):
+    """It is known from a few rows, before the sums are made."""
+    needed = memory_of(noisy_fit.arm, noisy_fit.recordings[0])
+    sums = sum(products.nbytes for products in noisy_fit.sums.products)
+    assert 0.9 * needed < SUMS_AT_ONCE * sums < 1.1 * needed
