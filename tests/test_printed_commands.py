@@ -539,11 +539,6 @@ SITUATIONS = {
         "log log.csv arm.xml",
         log_titled(time="t", wN_pos_x="q", xN_current="tau"),
     ),
-    "currents": Situation(
-        ("logs.column_map --torque-constants",),
-        "log log.csv arm.xml",
-        log_titled(time="t", qN="q", currentN="tau"),
-    ),
     "goals in degrees": Situation(
         ("logs.column_map --torque-from", "logs.suggestion --units"),
         "log log.csv arm.xml",

@@ -6,9 +6,9 @@ Run from the checkout, each part some minutes on one core; ``--write`` puts its 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.speed.speed_table [--write]
         [PART...]
 
-Parts: start, logs, arm, servo, plan, sysid. Commands are whole processes as users start them, with
-compiled modules, imports and files included, and their peak memory. Parts whose library, public arm
-or log is missing are left out. New rows replace the page's rows of the same task.
+Parts: start, logs, joints, servo, plan, sysid. Commands are whole processes as users start them,
+with compiled modules, imports and files included, and their peak memory. Parts whose library,
+public arm or log is missing are left out. New rows replace the page's rows of the same task.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import json
 import math
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -30,6 +31,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy import against_mujoco_sysid, servo_arm
+from rigs.arms import small_arms
+from rigs.arms.walk import TrueArm
 from rigs.files.page_tables import PageTable
 from rigs.files.places import GUESS, MODELS, ROOT, TRUTH
 from robot_sysid.parser import load_robot_model
@@ -49,6 +52,8 @@ LENGTHS = (15.0, 150.0, 1500.0)
 """Durations of logs [s]."""
 RATE = 1000.0
 """Samples per second of logs [Hz]."""
+JOINTS = (7, 14, 28, 56)
+"""Joints of arms whose commands are measured."""
 LIMIT = 540.0
 """Time after which a process is ended [s]."""
 PLANNED = {
@@ -177,6 +182,48 @@ def log_rows() -> Iterator[str]:
             yield format_row(task, "robot-sysid", seconds, base[0], cell)
 
 
+def long_arm(n_joints: int) -> str:
+    """Return the XML of a chain of joints 2.5 m long, whose links weigh differently."""
+    axes = (small_arms.Z, small_arms.Y, small_arms.X)
+    text = small_arms.serial_arm(tuple(axes[k % 3] for k in range(n_joints)))
+    rng = np.random.default_rng(n_joints)
+    step = min(0.25, 2.5 / n_joints)
+    text = text.replace("0 .02 .25", f"0 .02 {step:.3g}")
+    text = text.replace(".01 -.02 .1", f".01 -.02 {0.4 * step:.3g}")
+    return re.sub('mass="[^"]+"', lambda _: f'mass="{rng.uniform(0.6, 1.8):.4g}"', text)
+
+
+def joint_rows() -> Iterator[str]:
+    """Yield the cost of each command for arms of more and more joints, from logs of 10 s."""
+    for n_joints in JOINTS:
+        with tempfile.TemporaryDirectory() as name:
+            model, empty, loaded = (
+                f"{name}/{file}" for file in ("arm.xml", "empty.csv", "loaded.csv")
+            )
+            Path(model).write_text(long_arm(n_joints))
+            arm = TrueArm(load_robot_model(Path(model)))
+            arm.record(Path(empty), arm.first_plan, 0.0)
+            arm.record(Path(loaded), arm.first_plan, 1.0)
+            out = ("--output-dir", f"{name}/out")
+            commands = {
+                "self-test": (model, "--seed", "0", *out),
+                "plan": ("plan", model, "--seed", "0", *out),
+                "log": ("log", empty, model),
+                "identify": ("identify", model, empty, *out),
+                "payload": (
+                    *("payload", model, "--empty", empty, "--loaded", loaded),
+                    *out,
+                ),
+                "check": ("check", model, loaded, "--since", empty),
+            }
+            for command, arguments in commands.items():
+                seconds, memory = run_command(*arguments)
+                task = f"`{command}`, {n_joints} joints in a row, 10 s"
+                yield format_row(
+                    task, "robot-sysid", seconds, seconds, f"{memory:.0f} MB"
+                )
+
+
 def servo_rows() -> Iterator[str]:
     """Yield the cost of an arm without torque sensors, from 40 s."""
     path = MODELS / "so101" / "so101_new_calib.xml"
@@ -239,6 +286,7 @@ def sysid_rows() -> Iterator[str]:
 PARTS = {
     "start": start_rows,
     "logs": log_rows,
+    "joints": joint_rows,
     "servo": servo_rows,
     "plan": plan_rows,
     "sysid": sysid_rows,

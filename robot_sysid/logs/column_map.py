@@ -419,10 +419,11 @@ class ColumnFinder:
             # With constants, the columns are complete: no columns file is needed.
             fault += (
                 f"; {currents[0]}, ... are motor currents: give "
-                f"{option_name('torque_constants')}; where they "
-                "are not known, begin with 1 N·m/A, and a weight of known mass shows them"
+                f"{option_name('torque_constants')}, N·m at the joint per ampere, gear included; "
+                f"where they are not known, {option_name('torque_constants', '1')} leads to a "
+                "weight of known mass, which shows them"
             )
-            return InputError(fault, [("--torque-constants", "1")])
+            return InputError(fault)
         torques = self._unused_torques()
         commands = self.of_servos.recognise("command") if self.has_servos else ()
         if commands:
