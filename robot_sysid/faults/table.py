@@ -526,8 +526,9 @@ FAULTS = (
         FaultName.GRAVITY,
         "{value} of the links' weight is missing from the torque: a spring balancer that the model "
         "lacks, or gravity that is compensated in part",
-        "record the torque from which nothing is taken: the measured one with gravity in it (Franka: "
-        "tau_J), or motor currents with {torque_constants} (Universal Robots: actual_current)",
+        "record the torque from which nothing is taken: the measured one with gravity in it "
+        "(Franka: tau_J), or motor currents with {torque_constants} (Universal Robots: "
+        "actual_current)",
         of_balancer,
         0.5,
         "%",
