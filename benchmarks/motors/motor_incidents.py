@@ -51,10 +51,9 @@ def motor_rows(arms: Sequence[str], only: str, jobs: int) -> Iterator[str]:
 def process_rows(only: str) -> Iterator[str]:
     """Yield a row of the table for each incident of the program or around it."""
     with tempfile.TemporaryDirectory() as folder:
-        for result in results_of(Path(folder), PROCESSES):
+        cases = [case for case in PROCESSES if only in case.name]
+        for result in results_of(Path(folder), cases):
             incident = result.incident
-            if only not in incident.name:
-                continue
             ending = f"exit code {result.code}, off after {result.off_after:.2f} s"
             message = shorten_message(result.message, LENGTH) * (result.code == 3)
             yield (
