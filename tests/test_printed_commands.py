@@ -847,6 +847,9 @@ def test_log_and_identify_say_the_same_of_a_log(name, tmp_path, monkeypatch):
     for words in (log, identify):
         code, output = run_here(f"robot-sysid {words}", is_hasty=True)
         codes.append(code)
+        # A finding that is in the error is not printed before it, too.
+        for finding in re.findall("^doubts: (.*)", output, re.MULTILINE):
+            assert output.count(finding) == 1, output
         errors.append(re.findall("^robot-sysid: error: .*", output, re.MULTILINE))
         lines = re.findall("^  (robot-sysid .+)$", output, re.MULTILINE)
         remedies.append(sorted(map(without_command, lines)) if code else [])

@@ -29,10 +29,9 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     from robot_sysid.config import with_scale_prior
     from robot_sysid.estimate.options import EstimationOptions
     from robot_sysid.estimate.questions import Question
-    from robot_sysid.faults.gate import judge, require_acceptable
+    from robot_sysid.faults.gate import judge, not_acceptable, require_acceptable
     from robot_sysid.logs.reader import open_logs
     from robot_sysid.parser import load_robot_model
-    from robot_sysid.records.messages import Level
 
     paths = record_from(LogArgument, values).log
     log_options = record_from(LogOptions, values)
@@ -48,8 +47,9 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     options = with_scale_prior(EstimationOptions(), log_options, robot.joint_names)
     findings = judge(robot, [log], Question(options), console).findings
-    # What refuses the log is in the error.
-    said = [each for each in findings if each.level is not Level.REFUSES]
+    # What stops an identification is in the error.
+    stopping = not_acceptable(findings, log_options.accept)
+    said = [each for each in findings if each not in stopping]
     console.stage(*(finding.line() for finding in said))
     console.result(
         {

@@ -335,28 +335,41 @@ def require_acceptable(
         SysidError: there is a doubt that is not accepted.
     """
     refused = refusals(found)
-    doubts = [f for f in found if f.level is Level.DOUBTS and f.about not in accepted]
-    least = min((each.about.needs for each in refused), default=Needs.SAMPLES)
-    earlier = [doubt for doubt in doubts if doubt.about.needs < least]
+    stated = not_acceptable(found, accepted)
     # A remedy is none where something else is wrong as well.
     corrections = {finding.correction for finding in refused}
     is_one = len(refused) == 1 or (len(corrections) == 1 and None not in corrections)
-    if is_one and not earlier:
+    if is_one and stated == refused:
         raise refuse_for(logs, refused)
     names = ", ".join(log.name for log in logs)
+    texts = "; ".join(finding.sentence for finding in stated)
     if refused:
-        texts = "; ".join(finding.sentence for finding in [*earlier, *refused])
         raise InputError(f"{names}: {texts}{_still_refused(found, accepted)}")
-    if doubts:
-        texts = "; ".join(finding.sentence for finding in doubts)
+    if stated:
         # Each name once, in the order of the findings.
-        checks = dict.fromkeys(finding.about for finding in doubts)
+        checks = dict.fromkeys(finding.about for finding in stated)
         accepting = option_setting("accept", *checks)
         advice = f"nothing was written (to go on all the same: {accepting})"
         message = f"{names}: {texts}; {advice}"
-        if len(doubts) == 1:
-            raise SysidError(message, doubts[0].options, doubts[0].command)
+        if len(stated) == 1:
+            raise SysidError(message, stated[0].options, stated[0].command)
         raise SysidError(message)
+
+
+def not_acceptable(
+    found: Sequence[Finding], accepted: Collection[str] = ()
+) -> list[Finding]:
+    """Return the findings that the error of ``require_acceptable`` states; none where it is none.
+
+    They are what refuses the logs, and doubts that come first; without a refusal all doubts that
+    are not accepted.
+    """
+    refused = [*refusals(found)]
+    doubts = [f for f in found if f.level is Level.DOUBTS and f.about not in accepted]
+    if not refused:
+        return doubts
+    least = min(each.about.needs for each in refused)
+    return [*(doubt for doubt in doubts if doubt.about.needs < least), *refused]
 
 
 def _still_refused(found: Sequence[Finding], accepted: Collection[str]) -> str:
