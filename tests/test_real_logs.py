@@ -18,7 +18,9 @@ from lxml import etree
 
 from rigs.files.params import motors, rows
 from rigs.files.places import DATA, ROOT
+from rigs.logs.recorded import rtde
 from robot_sysid.cli import main
+from robot_sysid.records import Recording
 from robot_sysid.records.option_fields import parse_factors
 
 KUKA = DATA / "kuka_lwr4"
@@ -242,6 +244,51 @@ def test_ar5_at_its_wall_is_identified_with_the_command_that_is_printed(
     assert before > 0.05 and after < 0.015
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "updated_model.xml"))
     assert model.opt.gravity[0] > 9.8
+
+
+def ur10e_of_rtde(folder, torque, is_compensated):
+    """The path of the UR10e's log with the columns of RTDE's record.py, its torque of a name.
+
+    Amperes by the constants of the page of logs, or newton metres less the model's gravity.
+    """
+    rows = np.genfromtxt(UR10E / "empty_100Hz.csv", delimiter=",", skip_header=1)
+    time, q, tau = rows[:, 0], rows[:, 1:7], rows[:, 7:]
+    if is_compensated:
+        tau = tau - torques_at_rest(UR10E / "ur10e.urdf", q)
+    else:
+        tau = tau / parse_factors(constants_of_the_page())
+    log = Recording(time, q, np.gradient(q, time, axis=0), tau)
+    return rtde(folder, log, torque)
+
+
+def constants_of_the_page():
+    """The torque constants of a UR10e that docs/logs.md states."""
+    page = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
+    return re.search(r"--torque-constants ([0-9.,]{20,})", page)[1]
+
+
+@pytest.mark.slow
+def test_ur10es_page_is_followed_with_currents(tmp_path):
+    log = ur10e_of_rtde(tmp_path, "actual_current", is_compensated=False)
+    options = ("--torque-constants", constants_of_the_page())
+    model = UR10E / "ur10e.urdf"
+    assert main(["log", str(log), str(model), *options]) == 0
+    code, params = run_identify(tmp_path / "out", model, log, *options)
+    old_error, new_error = relative_errors(params["file"])
+    assert code == 0 and new_error < 0.1 * old_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("accepted", [(), ("--accept", "gravity")])
+def test_ur10es_torque_without_gravity_is_refused_with_the_column_to_record(
+    tmp_path, capsys, accepted
+):
+    log = ur10e_of_rtde(tmp_path, "actual_current_as_torque", is_compensated=True)
+    folder = tmp_path / "out"
+    words = ["identify", UR10E / "ur10e.urdf", log, "--output-dir", folder, *accepted]
+    assert main(list(map(str, words))) == 2
+    assert "actual_current with --torque-constants" in capsys.readouterr().err
+    assert not folder.exists()
 
 
 def airbot(run):

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 import warnings
@@ -284,7 +285,7 @@ def keep_row(path: Path | None, row: Row) -> None:
 
 
 def main() -> int:
-    """Print the table; write it where that is asked for."""
+    """Read the command line, and print the tables."""
     parser = arms_parser(__doc__, ALL_ARMS, ALL_ARMS)
     motions = [*MOTIONS, *RIGHT_LOGS]
     parser.add_argument("--motions", nargs="+", default=motions, choices=motions)
@@ -297,6 +298,19 @@ def main() -> int:
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    for name in ("models", "rows", "public"):
+        path = getattr(options, name)
+        setattr(options, name, path and path.resolve())
+    with tempfile.TemporaryDirectory() as folder:
+        # Commands leave proposed columns where they run.
+        os.chdir(folder)
+        print_tables(options)
+        os.chdir(ROOT)
+    return 0
+
+
+def print_tables(options: argparse.Namespace) -> None:
+    """Print the tables that are asked for, and write them where that is."""
     public = [] if options.public is None else [*public_lines(options.public)]
     if public:
         REAL_TABLE.show(public, options.write)
@@ -307,7 +321,6 @@ def main() -> int:
             ["", f"`identify` of {answers_line(found)}."] if options.answers else []
         )
         TABLE.show(lines, options.write)
-    return 0
 
 
 if __name__ == "__main__":

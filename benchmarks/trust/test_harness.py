@@ -1,4 +1,5 @@
-"""The harnesses of ``trust``: signals end them, and what they draw is repeated by its seed."""
+"""The harnesses of ``trust``: signals end them, what they draw is repeated by its seed, and
+the table of real files has what was printed."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ def test_a_signal_in_a_command_ends_the_benchmark(number, tmp_path):
     """It is no answer to a log, though the command turns it into an exit code."""
     handlers = [signal.getsignal(each) for each in (signal.SIGALRM, number)]
     signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
-    signal.setitimer(signal.ITIMER_REAL, 0.2)
+    signal.setitimer(signal.ITIMER_REAL, 0.05)
     try:
         with pytest.raises(Stopped) as stopped:
             run_command(GUESS, "--output-dir", tmp_path)

@@ -358,7 +358,8 @@ DRIVER_LOGS = (
     DriverLog("panda ROS 1 bag", PANDA, 250.0, partial(_PANDA_BAG, storage="ROS1")),
     DriverLog("fr3 all topics", FR3, 1000.0, _FR3_BAG),
     # UniversalRobots/Universal_Robots_ROS2_Driver:
-    # ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551
+    # ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551, whose author says of
+    # these torques that gravity is compensated. This one has it, so that reading shows in numbers.
     DriverLog("UR torque as effort", UR5E, 500.0, universal_robots),
     # UniversalRobots/RTDE_Python_Client_Library: rtde/csv_writer.py
     DriverLog("UR RTDE torque", UR5E, 500.0, recorded.rtde),

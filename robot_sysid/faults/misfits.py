@@ -52,6 +52,7 @@ from robot_sysid.faults.scales import ScaleCorrections, little_weight
 from robot_sysid.faults.shares import LOST, Shares
 from robot_sysid.faults.table import TIME, WHOLE_CLOCK, at_inertia
 from robot_sysid.records import Array
+from robot_sysid.records.controllers import torque_to_record
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
@@ -436,7 +437,8 @@ def external_torque(fitted: Fit, shares: Shares) -> Finding:
         f"{fitted.arm.joints[joint]}): it is external torque, from which a controller's model was "
         "taken off, and shows friction and what hangs on the flange alone"
     )
-    return Finding(Level.REFUSES, FaultName.GRAVITY, text, MEASURED)
+    remedy = torque_to_record(fitted.arm.robot)
+    return Finding(Level.REFUSES, FaultName.GRAVITY, text, remedy)
 
 
 def weight_alone() -> Finding:
@@ -456,7 +458,7 @@ def weight_findings(fitted: Fit) -> Iterator[Finding]:
     share = regression(fitted, int(np.argmax(torque))).get(WEIGHT, 1.0)
     is_small = fitted.arm.has_gravity and typical_ratio(fitted) < SMALLER
     if is_small and abs(share) < NO_WEIGHT:
-        yield little_weight()
+        yield little_weight(fitted.arm.robot)
 
 
 def lost_links(fitted: Fit) -> Iterator[Finding]:
@@ -485,7 +487,7 @@ def lost_links(fitted: Fit) -> Iterator[Finding]:
             f"{arm.robot.links[link].body_name} would have {max(found[link], 0.0):.3g} kg, and has "
             f"{masses[link]:.3g} kg in the model: the torque lacks their weight, as external "
             "torque does, or it is the model of another arm",
-            f"{MEASURED}, and {RIGHT_MODEL}",
+            f"{torque_to_record(arm.robot)}; and {RIGHT_MODEL}",
         )
 
 

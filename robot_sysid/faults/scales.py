@@ -46,6 +46,7 @@ from robot_sysid.faults.readings import Reading
 from robot_sysid.model.stated import CENTRE, MASS
 from robot_sysid.model.units import mass_unit
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.controllers import torque_to_record
 from robot_sysid.records.fault_names import FaultName
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, torque_unit, with_error
@@ -492,7 +493,7 @@ def common_finding(
     """
     is_far = abs(np.log(factor)) > np.log(MOST_MASSES)
     if factor < 1.0 and is_far and relative_error > VAGUE:
-        return little_weight()
+        return little_weight(robot)
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
     is_unit = mass_unit(robot, factor) != 1.0
@@ -579,7 +580,7 @@ def weight_of_geometry(text: str, unstated: str) -> Finding:
     )
 
 
-def little_weight() -> Finding:
+def little_weight(robot: RobotModel) -> Finding:
     """Return the finding that torques are small and have little of the links' weight, if any.
 
     A factor that is as uncertain as it is large is not known from none.
@@ -589,8 +590,7 @@ def little_weight() -> Finding:
         FaultName.GRAVITY,
         "the torque has little of the links' weight: it may be external torque, left after a "
         "controller's model, or motor current",
-        f"record the measured joint torque, or give {option_name('torque_constants')} for a "
-        "current",
+        torque_to_record(robot),
     )
 
 

@@ -37,6 +37,7 @@ from robot_sysid.faults.columns import (
 )
 from robot_sysid.faults.plausibility import typical_torque
 from robot_sysid.records import Array
+from robot_sysid.records.controllers import torque_to_record
 from robot_sysid.records.fault_names import FaultName, StandsFor
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
@@ -224,7 +225,8 @@ def of_support(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
 def of_balancer(fitted: Fit, fault: Fault) -> Iterator[Explanation]:
     """Yield a share of all links' weight. The last link's is free beside it: nothing states it."""
     spread = np.append(fault.prior, load_spread(fitted))
-    yield Explanation(fault, effect((WEIGHT, *LAST_WEIGHT), spread))
+    words = {"torque": torque_to_record(fitted.arm.robot)}
+    yield Explanation(fault, effect((WEIGHT, *LAST_WEIGHT), spread), words)
 
 
 # ---- places: each joint
@@ -526,9 +528,7 @@ FAULTS = (
         FaultName.GRAVITY,
         "{value} of the links' weight is missing from the torque: a spring balancer that the model "
         "lacks, or gravity that is compensated in part",
-        "record the torque from which nothing is taken: the measured one with gravity in it "
-        "(Franka: tau_J), or motor currents with {torque_constants} (Universal Robots: "
-        "actual_current)",
+        "{torque}",
         of_balancer,
         0.5,
         "%",

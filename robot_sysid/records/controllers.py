@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from robot_sysid.wording import option_name, with_option_names
+
 if TYPE_CHECKING:
     from robot_sysid.records import RobotModel
 
@@ -27,6 +29,13 @@ MAKERS: Mapping[str, str] = {
 }
 """Key of a maker in ``CHOICES`` to a regular expression of the names of its arms, in lower case
 with "_" between words."""
+TORQUES: Mapping[str, str] = {
+    "franka": "tau_J, and not tau_J_d or tau_ext_hat_filtered",
+    "ur": "actual_current with {torque_constants}, and not actual_current_as_torque",
+    "kuka": "measured_torque, and not external_torque",
+}
+"""Key of a maker to what its controllers call the torque that has gravity in it, and what they call
+those that have none. Of Universal Robots the maintainer of the maker's driver says so."""
 CHOICES = (AUTO, ALL, *MAKERS, "urdf", "mujoco")
 """Choices of the cards of a payload."""
 SIMULATORS: Mapping[str, str] = {
@@ -69,3 +78,16 @@ def makers_of(robot: RobotModel) -> tuple[str, ...]:
         if keys:
             return keys
     return ()
+
+
+def torque_to_record(robot: RobotModel) -> str:
+    """Return which torque of an arm to record, as its controller calls what has gravity in it."""
+    keys = [key for key in makers_of(robot) if key in TORQUES]
+    if not keys:
+        constants = option_name("torque_constants")
+        return (
+            f"record the measured joint torque, or motor current with {constants}, from which no "
+            "gravity was taken off"
+        )
+    columns = "; or ".join(with_option_names(TORQUES[key]) for key in keys)
+    return f"record the joint torque from which no gravity was taken off: {columns}"

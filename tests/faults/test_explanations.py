@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rigs.arms.drawn_models import drawn_model
 from rigs.arms.small_arms import robot_of
 from rigs.arms.wrong_arms import link_torque, resting_torque, truth_of
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
+from robot_sysid.records.messages import Level
 from tests.faults.conftest import findings_of, found_in, slow
 
 
@@ -154,6 +156,28 @@ def test_faults_are_called_by_their_names(check, faults):
 def test_torque_without_weight_is_no_mounting_on_a_wall(four_joints):
     (finding,) = found_in(four_joints, tau=four_joints.log.tau - four_joints.still)
     assert finding.about == "gravity"
+
+
+@pytest.mark.fast_cases(1)
+@pytest.mark.parametrize("share", ["still", "rigid"])
+@pytest.mark.parametrize(
+    ("arm", "columns"),
+    [
+        ("ur10e", ("actual_current with --torque-constants",)),
+        ("fr3_on_ur5e", ("tau_J, and not", "actual_current with")),
+        ("arm", ("measured joint torque", "motor current")),
+    ],
+)
+def test_torque_without_weight_ends_with_the_column_to_record(
+    four_joints, arm, columns, share
+):
+    """What the arm's controller calls it, of an arm of any other maker what it is."""
+    robot = replace(four_joints.robot, path=Path(arm, "model.xml").absolute())
+    tau = four_joints.log.tau - getattr(four_joints, share)
+    found = findings_of(robot, replace(four_joints.log, tau=tau))
+    (finding,) = (each for each in found if each.about == "gravity")
+    assert finding.level is Level.REFUSES
+    assert all(column in finding.remedy for column in columns), finding
 
 
 def number_after(phrase, text):
