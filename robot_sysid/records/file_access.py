@@ -528,8 +528,9 @@ def _said_of_kept(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
 def _recorded(folder: Path) -> Iterator[None]:
     """Let what the block writes to a folder be recorded there; without any, no record stays."""
     record = folder / RECORD_NAME
-    with _refusals_as_input_errors(record):
-        _write_record(record, {})
+    if not os.path.lexists(record):
+        with _refusals_as_input_errors(record):
+            _write_record(record, {})
     try:
         yield
     finally:
