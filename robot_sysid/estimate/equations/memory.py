@@ -69,7 +69,7 @@ def _of_containers(root: Path) -> list[float]:
     places = [root / "sys/fs/cgroup"]
     for line in _text(root / "proc/self/cgroup").splitlines():
         own = places[0] / line.rpartition(":")[2].strip("/")
-        places += [own, *own.parents[: len(own.parts) - len(places[0].parts)]]
+        places += [own, *[*own.parents][: len(own.parts) - len(places[0].parts)]]
     for place in dict.fromkeys(places):
         for limit, use in zip(_LIMITS, _USES):
             texts = _text(place / limit).strip(), _text(place / use).strip()
