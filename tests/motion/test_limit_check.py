@@ -152,19 +152,28 @@ def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
     assert any("clearance" in excess.name for excess in check.excesses) != holds
 
 
-def test_stops_take_as_long_as_the_limits_ask():
-    """A path that keeps its limits keeps them with stops, which take longer where need be."""
+def slow_plan():
+    """Return a slow path and its greatest accelerations (n,), with a fifth more."""
     plan = plan_of(THREE, 0, 0.05)
     plan = replace(plan, duration=8.0, fade=2.0, frequency_hz=plan.frequency_hz / 20.0)
+    qdd = plan.evaluate(np.linspace(0.0, 8.0, 4001)).qdd
+    return plan, 1.2 * np.max(np.abs(qdd), axis=0)
+
+
+def test_stops_take_as_long_as_the_limits_ask():
+    """A path that keeps its limits keeps them with stops, which take longer where need be."""
+    plan, top = slow_plan()
     strong = replace(THREE, limits=replace(THREE.limits, acceleration=np.full(3, 1e3)))
     assert with_stops(strong, plan).stopping_time == STOPPING_TIME
 
-    top = 1.2 * np.max(np.abs(plan.evaluate(np.linspace(0.0, 8.0, 4001)).qdd), axis=0)
     weak = replace(THREE, limits=replace(THREE.limits, acceleration=top))
     assert keeps_limits(weak, plan)
     softer = with_stops(weak, plan)
     assert STOPPING_TIME < softer.stopping_time < LONGEST_STOPPING
     assert not check_limits(weak, softer).excesses
 
+
+def test_a_path_that_breaks_its_limits_breaks_them_with_any_stops():
+    plan, top = slow_plan()
     broken = replace(THREE, limits=replace(THREE.limits, acceleration=0.1 * top))
     assert check_limits(broken, with_stops(broken, plan)).excesses
