@@ -78,7 +78,7 @@ def test_the_page_of_python_runs_where_nothing_is_but_the_package(
 def runs(words, expected_code, capsys):
     """A command ends as the page says; one that needs a bus says that there is none.
 
-    Returns what it prints.
+    Returns what it prints, its error as well.
     """
     searches = words[0] == "plan" or "optimal" in words
     hurry = QUICKLY if searches else []
@@ -90,4 +90,4 @@ def runs(words, expected_code, capsys):
     else:
         assert code == expected_code, (words, error)
         schemas.check_results(Path())
-    return out
+    return out + error
